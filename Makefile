@@ -4,18 +4,38 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -eo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup same-ros tools demo docs reference lint test test-libraries test-sourced verify bench soak clean
+.PHONY: help setup records same-ros tools demo docs reference lint test test-computing test-versions test-pip test-sourced verify bench soak clean
 
 ENVIRONMENT := source ros2_ws/setup.bash
-# the tests start some 1500 Python processes: each would compile abrace anew
+# the tests start hundreds of Python processes: each would compile abrace anew
 TEST_ENVIRONMENT := export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1; unset PYTHONDONTWRITEBYTECODE
-# some tests wait: one more at a time than there are processors
-TEST_LIBRARIES := python -m pytest --numprocesses $(shell expr $$(nproc) + 1) --dist loadscope --ignore tests/graph
-PACKAGES := abrace_core abrace_bags abrace_plant abrace_sysid abrace_lqg abrace abrace_bringup
+# some tests wait: one more at a time than there are processors; the long modules first (conftest.py)
+TEST := python -m pytest --numprocesses $(shell expr $$(nproc) + 1) --dist loadfile --no-loadscope-reorder
+# what a processor, or the BLAS for it, may compute otherwise: fits, eigenvalues, Riccati equations, exponentials
+COMPUTING := $(foreach name, abrace_sysid/ambient abrace_sysid/identification abrace_sysid/maximum_likelihood \
+  abrace_sysid/paper abrace_sysid/realization abrace_sysid/reduction abrace_sysid/several_groups \
+  abrace_sysid/uncertainty abrace_sysid/validity abrace_sysid/vector_fitting abrace_lqg/control_systems \
+  abrace_lqg/design abrace_lqg/disk_margin abrace_lqg/margins abrace_lqg/own_algebra abrace_lqg/scaling \
+  abrace_studies/frame abrace_studies/loop_extremes abrace_core/linear_model abrace_core/model_ensemble \
+  abrace_core/multisine abrace_core/simulation abrace_plant/building abrace_plant/characteristics, \
+  tests/$(dir $(name))test_$(notdir $(name)).py)
+# what another Python, NumPy, Matplotlib or pydantic may read, write or draw otherwise; the demo identifies, designs and
+# runs every node
+ON_OTHER_VERSIONS := $(addprefix tests/,project/test_packages.py $(addprefix abrace_core/test_, \
+  chart.py compiled.py controller_file.py drawing.py linear_model.py quantity.py reading.py wire.py) \
+  abrace_bags/test_reader.py abrace_bags/test_writer.py abrace_sysid/test_figures.py abrace/test_report.py \
+  abrace/test_campaign_file.py)
+define STYLE
+ruff check .
+ruff format --check .
+endef
+TYPES = $(if $(ROS_DISTRO),true,mypy $(foreach package,$(PACKAGES),src/$(package)/$(package)) $(wildcard docs/*.py) \
+  $(filter-out %.launch.py,$(wildcard examples/*/*/*.py)) benchmarks tests/support)
+PACKAGES := abrace_core abrace_node abrace_bags abrace_plant abrace_sysid abrace_lqg abrace_studies abrace abrace_bringup
 # what a build copies or generates; Python modules are linked, edits to them need no build
 BUILT_FROM := $(shell find src -name package.xml -o -name 'setup.*' -o -name CMakeLists.txt -o -name '*.msg' \
-  -o -name '*.action' -o -path '*/config/*.yaml' -o -path '*/launch/*.py' -o -path '*/campaigns/*.yaml' -o -path 'src/*/benchmarks/*.yaml' -o -path '*/scripts/abrace' \
-  -o -path '*/scripts/make_keystore' -o -path '*/config/*.xml' \
+  -o -name '*.action' -o -path '*/config/*.yaml' -o -path '*/launch/*.py' -o -path '*/campaigns/*.yaml' -o -path 'src/*/benchmarks/*.yaml' -o -path 'src/*/frames/*.yaml' -o -path '*/scripts/abrace' \
+  -o -path '*/config/*.xml' \
   -o -path '*/abrace_bringup/viewer/*')
 
 help:  ## this list
@@ -27,13 +47,16 @@ setup: ros2_ws/install/.built $(if $(ROS_DISTRO),,.venv/.develop)  ## install wh
 
 tools: setup .venv/.develop
 
+records: .venv/.installed  ## readers of SAC, miniSEED, Kinemetrics, UFF 58, MATLAB 7.3
+	@requirements/install.sh records
+
 same-ros:
 	@requirements/same_ros.sh
 
 .venv/.installed: requirements/install.sh $(addprefix requirements/,run.txt build.txt ros.txt lock.txt system.txt lock_beside.sh) | same-ros
 	@requirements/install.sh
 
-.venv/.develop: .venv/.installed requirements/develop.txt requirements/numpy2.txt
+.venv/.develop: .venv/.installed $(addprefix requirements/,develop.txt numpy2.txt records.txt)
 	@requirements/install.sh tests
 
 .venv/.docs: .venv/.develop requirements/docs.txt
@@ -55,9 +78,10 @@ demo: setup  ## the paper, live: tests, model, controller, earthquake, table (re
 	@$(ENVIRONMENT)
 	abrace demo
 
-docs: tools .venv/.docs  ## the documentation as a site: docs/site/index.html
+docs: tools .venv/.docs  ## the documentation as a site: docs/site/index.html; `man docs/site/man/abrace.1`
 	@$(ENVIRONMENT)
 	python -m sphinx --quiet --fail-on-warning --keep-going -j auto -b html docs docs/site
+	python -m sphinx --quiet -b man -d docs/site/.doctrees docs docs/site/man
 
 reference: tools  ## regenerate the pages of docs that are made from the code (docs/write_*.py)
 	@$(ENVIRONMENT)
@@ -65,24 +89,40 @@ reference: tools  ## regenerate the pages of docs that are made from the code (d
 
 lint: tools  ## ruff and mypy (its types are those of NumPy 2: not where ROS 2 is sourced)
 	@$(ENVIRONMENT)
-	ruff check .
-	ruff format --check .
-	[ -n "$(ROS_DISTRO)" ] || mypy $(foreach package,$(PACKAGES),src/$(package)/$(package)) $(wildcard src/*/scripts/*.py) $(wildcard docs/*.py) $(filter-out %.launch.py,$(filter-out %/test/%,$(wildcard examples/*/*/*.py))) benchmarks tests/support
+	$(STYLE)
+	$(TYPES)
 
-test: lint  ## lint and all tests: the libraries' on all cores, the graph's three files at a time, what takes all cores alone
+test: tools  ## lint and all tests: the libraries', then the graph's three files at a time, then what takes all processors
 	@$(ENVIRONMENT)
 	$(TEST_ENVIRONMENT)
-	$(TEST_LIBRARIES)
-	python -m pytest --numprocesses 3 --dist loadfile -m "not alone" tests/graph
+	$(STYLE)
+	$(TYPES)
+	$(TEST) --ignore tests/graph
+	python -m pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder -m "not alone" tests/graph
 	python -m pytest -m alone tests/graph
 
-test-libraries: tools
+test-computing: tools  ## the tests that compute: with OPENBLAS_CORETYPE as on other processors
 	@$(ENVIRONMENT)
 	$(TEST_ENVIRONMENT)
-	$(TEST_LIBRARIES)
+	$(TEST) $(COMPUTING)
+
+test-versions: tools
+	@$(ENVIRONMENT)
+	$(TEST_ENVIRONMENT)
+	$(TEST) $(ON_OTHER_VERSIONS)
+
+test-pip:  ## `pip install .` with PYTHON in an empty environment, and the first lines of docs/python.md there
+	@rm -rf .pip
+	$${PYTHON:-python3} -m venv .pip
+	.pip/bin/pip install --quiet . $(WITH)
+	rm -rf build abrace.egg-info  # it would be taken for the package abrace of the workspace
+	cd .pip
+	env -u PYTHONPATH bin/abrace --version
+	env -u PYTHONPATH bin/python -c "import abrace; run = abrace.simulate('ncree_three_storey', 'el_centro', \
+	  controller=abrace.design('ncree_three_storey', 'lqg3'), peak_acceleration=0.98, duration=12.0); print(run)"
 
 # a copy of the tracked files is set up and tested there: .venv and the workspace of this folder stay as they are
-test-sourced: .sourced/.made  ## set-up, demo and tests of the libraries where ROS 2 is sourced: a machine made in .sourced
+test-sourced: .sourced/.made  ## set-up, demo, own packages and some tests where ROS 2 is sourced: a machine made in .sourced
 	@.ci/sourced
 
 .sourced/.made: $(addprefix requirements/,ubuntu.sh ubuntu.txt ros.txt lock.txt lock_beside.sh)
@@ -90,15 +130,16 @@ test-sourced: .sourced/.made  ## set-up, demo and tests of the libraries where R
 
 verify: tools  ## accuracy claims, measured: results/verify.json
 	@$(ENVIRONMENT)
-	python benchmarks/verify.py $(if $(RECORD),--record $(RECORD)) $(if $(MEASURED),--measured $(MEASURED)) $(PARTS)
+	python benchmarks/verify.py $(if $(RECORD),--record $(RECORD)) $(if $(MEASURED),--measured $(MEASURED)) \
+	  $(if $(ROBOT_ARM),--robot-arm $(ROBOT_ARM)) $(PARTS)
 
 bench: tools  ## speed claims, compared with other programs: results/bench.json
 	@$(ENVIRONMENT)
 	python benchmarks/bench.py
 
-soak: tools  ## long runs of logger, viewer, operator's page and all nodes, some hours: results/soak.json
+soak: tools  ## long runs of logger, wrong messages and operator's page, some hours: results/soak.json
 	@$(ENVIRONMENT)
 	python benchmarks/soak.py
 
 clean:  ## remove what was built (results, bags and whatever else a person made stay)
-	@rm -rf .venv .sourced ros2_ws/build ros2_ws/install ros2_ws/log
+	@rm -rf .venv .sourced .pip build ros2_ws/build ros2_ws/install ros2_ws/log

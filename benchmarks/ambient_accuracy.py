@@ -21,10 +21,10 @@ from claims import Claim, claim_table
 from scipy import stats
 
 from abrace.report.table import Table
-from abrace_core.node import find_file
+from abrace_core.files.installed import find_file
 from abrace_plant.rig.file import load_rig
 from abrace_sysid.ambient.change import compare_tests
-from abrace_sysid.ambient.modes import ambient_modes
+from abrace_sysid.ambient.modes import AmbientOptions, ambient_modes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -93,9 +93,10 @@ def verify_ambient() -> tuple[dict[str, Any], list[Claim], list[Table]]:
     rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
     structure, weaker = AmbientStructure(rig), AmbientStructure(weakened(rig, 1, WEAKER))
     poles, channels = np.array(structure.poles), structure.channels
+    options = AmbientOptions(band=BAND, highest_order=HIGHEST_ORDER)
 
     def test(of: AmbientStructure, seed: int) -> AmbientTest:
-        return ambient_modes(f"seed {seed}", [of.record(SECONDS, seed)], channels, RATE, BAND, HIGHEST_ORDER)
+        return ambient_modes(f"seed {seed}", [of.record(SECONDS, seed)], channels, RATE, options)
 
     tests = [test(structure, seed) for seed in range(SEEDS)]
     after = [test(weaker, SEEDS + seed) for seed in range(SEEDS)]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed of reading a bag: 1 000 000 responses to arrays, against `rosbags` and `mcap-ros2-support`, on one core.
 
-read_1e6_seconds            `read_topics`, all fields of all messages
-time_range_seconds          `read_topics` of one hundredth of the bag, in its middle
+seconds                     `Bag.arrays`, all fields of all messages
+time_range_seconds          `Bag.arrays` of one hundredth of the bag, in its middle
 rosbags_seconds             `rosbags`, each message deserialised
 mcap_ros2_support_seconds   `mcap-ros2-support`, each message deserialised
 
@@ -21,12 +21,14 @@ import sys
 import tempfile
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from identification_speed import best_of, read_with_mcap_ros2, read_with_rosbags, write_bag
+from bag_of_run import write_bag
+from identification_speed import best_of, read_with_mcap_ros2, read_with_rosbags
 from simulation import ONE_THREAD
+
+from abrace_core.model.run import Run
 
 MESSAGES, PEER_MESSAGES = 1_000_000, 200_000
 REPEATS = 5
@@ -44,17 +46,17 @@ def bag_reading() -> dict[str, Any]:
 
 def measure(messages: int = MESSAGES, peer_messages: int = PEER_MESSAGES) -> dict[str, Any]:
     """Seconds of each, for bags of `messages` responses of the paper's rig, and how many times faster ours is."""
-    from abrace_bags import read_topics
+    from abrace_bags import Bag
 
     with tempfile.TemporaryDirectory() as folder:
         bag, peer_bag = Path(folder) / "bag", Path(folder) / "peer"
         for path, count in ((bag, messages), (peer_bag, peer_messages)):
-            write_bag(path, noise(count), "noise")
-        read = read_topics(bag)["/response"].log_time
+            write_bag(noise(count), path)
+        read = Bag(bag).arrays()["/response"].log_time
         assert read.size == messages, f"{read.size} responses, expected {messages}"
         begin, end = (int(read[read.size * (RANGE + side) // (2 * RANGE)]) for side in (-1, 1))
-        seconds = best_of(REPEATS, lambda: read_topics(bag))
-        range_seconds = best_of(REPEATS, lambda: read_topics(bag, begin=begin, end=end))
+        seconds = best_of(REPEATS, lambda: Bag(bag).arrays())
+        range_seconds = best_of(REPEATS, lambda: Bag(bag).arrays(begin=begin, end=end))
         readers = {"rosbags": read_with_rosbags, "mcap_ros2_support": read_with_mcap_ros2}
         peers = {
             name: best_of(1, partial(read, peer_bag), warm=False) * messages / peer_messages
@@ -63,7 +65,7 @@ def measure(messages: int = MESSAGES, peer_messages: int = PEER_MESSAGES) -> dic
     found: dict[str, Any] = {
         "messages": messages,
         "peer_messages": peer_messages,
-        f"read_{messages:.0e}_seconds".replace("+0", ""): seconds,
+        "seconds": seconds,
         "time_range_seconds": range_seconds,
     }
     for name, spent in peers.items():
@@ -72,17 +74,10 @@ def measure(messages: int = MESSAGES, peer_messages: int = PEER_MESSAGES) -> dic
     return found
 
 
-def noise(samples: int) -> Any:
+def noise(samples: int) -> Run:
     """A test of `samples` samples of the paper's rig, in which everything is noise."""
-    source = np.random.default_rng(6)
-    return SimpleNamespace(
-        floors=3,
-        groups=1,
-        sample_period=0.002,
-        outputs=source.normal(size=(samples, 8)),
-        command=source.normal(size=(samples, 1)),
-        ground_acceleration=source.normal(size=samples),
-    )
+    outputs, ground, command = np.split(np.random.default_rng(6).normal(size=(samples, 10)), [8, 9], axis=1)
+    return Run("noise", 0.002, np.arange(samples, dtype=np.uint64), 3, 1, outputs, ground[:, 0], command)
 
 
 if __name__ == "__main__":

@@ -1,21 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed claims against their peers, measured in one run: `make bench`. Writes results/bench.json and prints a table.
 
-simulation     50 000 closed-loop steps, linear and saturated, against scipy's lfilter and dlsim, python-control's
-               forced_response and a matrix-vector product a step
+simulation     50 000 closed-loop steps, linear and saturated, against scipy's lfilter and dlsim
 plant_step_us  a sample of the simulated rig as the node `plant` takes it, against a round trip of the echo below
 lockstep       the demo's closed loop (plant, ground motion, controller, logger, each a process of its own) against a
                bare echo of the same messages between two processes, and a bare graph of four, measured just before and
                just after; all of them with the least real-time priority, where allowed, and once more without
-controller, loop, lqr_agreement  a step of LQG3, its answer over DDS and the echo, its gains and python-control's
-explore        1000 closed loops of 50 000 steps, designs and margins included, on all cores; 100 000 of them, linear
-               and saturating, and a million of 5 000 steps, from models to files; their cost drawn
-reading        the responses of that run's bag to arrays, against `rosbags`
-bags           1 000 000 responses to arrays, against `rosbags` and `mcap-ros2-support`
+controller, loop  a step of LQG3, its answer over DDS and the echo
+explore        100 000 closed loops of 50 000 steps on all cores, linear and saturating, and a million of 5 000
+               steps, from models to files
+reading        1 000 000 responses to arrays, against `rosbags` and `mcap-ros2-support`
 report         report.html of the demo: `abrace report` as a process of its own, its size, and a headless Chromium
                from opening it until all figures are drawn
 campaign       what a test costs beside its samples, against bare starts of as many nodes
-identification from bags of 600 s to the model, against `rosbags`, `mcap-ros2-support` and scikit-rf's VectorFitting
+node_start     plant, controller and logger of a test until they are configured, in turns with three bare nodes
+identification from bags of 600 s to the model, against scikit-rf's VectorFitting
 """
 
 from __future__ import annotations
@@ -35,19 +34,18 @@ import numpy as np
 from bag_reading import bag_reading
 from campaign_overhead import campaign_overhead
 from controller_speed import controller_speed, lqg3
-from exploration_speed import exploration_speed
-from identification_speed import cost_table, identification_speed
+from fragility_speed import fragility_speed
+from identification_speed import identification_speed
 from isolation import isolated
+from node_start import node_start
 from report_speed import report_rows, report_speed
-from rosbags.highlevel import AnyReader
 from simulation import simulation_speed
 
 from abrace.campaign.course import run_campaign
 from abrace.report.table import Table
-from abrace_bags import read_run
-from abrace_core.controller_file import save_controller
-from abrace_core.files import write_text
-from abrace_core.node import find_file
+from abrace_core.files.installed import find_file
+from abrace_core.files.writing import write_text
+from abrace_core.model.controller_file import save_controller
 from abrace_core.safety.rig_safety import RigSafety
 from abrace_plant.devices.simulated import SimulatedRig
 from abrace_plant.live.loop import RigLoop, rig_outputs
@@ -135,27 +133,14 @@ def plant_step() -> float:
     safety.activate()
     loop = RigLoop(rig, SimulatedRig(rig, 1, by_the_clock=False), safety, 0.02, 10, 1, lockstep=True)
     forces = 1.2 * rig.capacity[0] * np.sin(0.05 * np.arange(PLANT_STEPS))
+    loop.until_it_acts()
     begin = time.perf_counter()
-    for sequence, force in enumerate(forces.tolist()):
+    for force in forces.tolist():
         loop.step()
-        loop.receive_command(1, sequence, [force], "")
+        loop.receive_command(1, loop.sequence, [force], "")
     took = time.perf_counter() - begin
     assert safety.acting, safety.cause
     return 1e6 * took / PLANT_STEPS
-
-
-def reading(bag: Path) -> dict[str, Any]:
-    """Seconds to read the responses of a bag to arrays, and with rosbags."""
-    begin = time.perf_counter()
-    samples = len(read_run(bag).outputs)
-    seconds = time.perf_counter() - begin
-    begin = time.perf_counter()
-    with AnyReader([bag]) as reader:
-        connections = [c for c in reader.connections if c.msgtype == "abrace_interfaces/msg/Response"]
-        count = sum(1 for c, _, raw in reader.messages(connections) if reader.deserialize(raw, c.msgtype) is not None)
-    peer = time.perf_counter() - begin
-    assert count == samples, f"rosbags read {count} responses, abrace {samples}"
-    return {"samples": samples, "seconds": seconds, "rosbags_seconds": peer, "ratio_to_rosbags": peer / seconds}
 
 
 def simulation_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
@@ -167,8 +152,6 @@ def simulation_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
         for peer, ratio in (
             ("scipy lfilter, mode by mode", "ratio_to_lfilter"),
             ("scipy dlsim", "ratio_to_dlsim"),
-            ("control forced_response", "ratio_to_forced_response"),
-            ("matrix-vector product a step", "ratio_to_floor"),
         ):
             wanted = f"{asked} x" if ratio == "ratio_to_dlsim" else "-"
             rows.append((title, f"{1e3 * values['seconds']:.2f}", wanted, peer, f"{values[ratio]:.1f}"))
@@ -178,14 +161,9 @@ def simulation_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
 
 def identification_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     """Rows of the table: reading, the whole fit, and the vector fits' times and errors."""
-    read, peer = found["read_seconds"], found["scikit_rf"]
+    peer = found["scikit_rf"]
     rows: list[tuple[str, ...]] = []
-    title = "reading a bag of 600 s, s"
-    for name, key in (("rosbags", "rosbags_seconds"), ("mcap-ros2-support", "mcap_ros2_support_seconds")):
-        seconds = found[key]
-        columns = (f"{name} {seconds:.2f}", f"{seconds / read:.1f}") if seconds else (f"{name} not installed", "-")
-        rows.append((title, f"{read:.2f}", "1", *columns))
-        title = ""
+    rows.append(("reading a bag of 600 s, s", f"{found['read_seconds']:.2f}", "1", "-", "-"))
     rows.append(("from two tests of 600 s to the models, s", f"{found['fit_seconds']:.2f}", "3", "-", "-"))
     ratio = f"{peer['time_ratio']:.2f}"
     rows.append(("vector fitting, s", f"{peer['our_seconds']:.2f}", "-", f"scikit-rf {peer['seconds']:.2f}", ratio))
@@ -204,7 +182,7 @@ def bag_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     title = "reading 1 000 000 responses, s"
     for name, key in (("rosbags", "rosbags"), ("mcap-ros2-support", "mcap_ros2_support")):
         columns = f"{name} {found[f'{key}_seconds']:.1f}", f"{found[f'ratio_to_{key}']:.1f}"
-        rows.append((title, f"{found['read_1e6_seconds']:.2f}", "2, 10 x", *columns))
+        rows.append((title, f"{found['seconds']:.2f}", "2, 10 x", *columns))
         title = ""
     rows.append(("of it, a hundredth of the time, s", f"{found['time_range_seconds']:.3f}", "-", "-", "-"))
     return rows
@@ -218,22 +196,12 @@ def controller_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
         ("a step of the controller, us", f"{found['controller']['step_us']:.1f}", "8", "-", "-"),
         ("sample to command, median, us", f"{loop['median_us']:.0f}", "1 x", median, f"{loop['median_ratio']:.2f}"),
         ("sample to command, 99.9 %, us", f"{loop['p999_us']:.0f}", "1.2 x", slow, f"{loop['p999_ratio']:.2f}"),
-        ("LQR and filter gains, difference", f"{found['lqr_agreement']:.1e}", "1e-8", "python-control", "-"),
-        ("Eq. (13), difference", f"{found['tustin_agreement']:.1e}", "-", "scipy cont2discrete", "-"),
-        ("1000 closed loops of 50 000 steps, s", f"{explore['seconds_1000']:.1f}", "15", "-", "-"),
+        ("18 closed loops of 10 000 steps, s", f"{found['studies']['seconds_18_loops']:.2f}", "0.5", "-", "-"),
         ("100 000 closed loops of 50 000 steps, s", f"{explore['seconds_100000']:.0f}", "110", "-", "-"),
         ("the same, saturating, s", f"{explore['seconds_100000_saturating']:.0f}", "180", "-", "-"),
         ("1 000 000 of 5 000 steps, resumed once, s", f"{explore['seconds_million_short']:.0f}", "180", "-", "-"),
         ("memory of all processes in them, MB", f"{explore['memory_mb']:.0f}", "2000", "-", "-"),
-        ("exponent of cost over loops, steps, states", _exponents(explore, "exponents"), "1.05", "-", "-"),
-        ("the same at the greatest numbers", _exponents(explore, "last_exponents"), "-", "-", "-"),
-        ("Dask and files beside the loops, %", f"{100 * explore['dask_share']:.1f}", "5", "-", "-"),
     ]
-
-
-def _exponents(explore: dict[str, Any], which: str) -> str:
-    """Of the cost over loops, steps and states; 1 is linear."""
-    return ", ".join(f"{explore['cost'][which][name]:.2f}" for name in ("loops", "steps", "states"))
 
 
 def campaign_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
@@ -244,6 +212,23 @@ def campaign_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
         ("between two tests of a campaign, s", f"{found['overhead_seconds']:.2f}", "1.5", bare, ratio),
         ("processors for a test, s", f"{found['cpu_seconds']:.2f}", "-", cpu, cpu_ratio),
         (f"tests lost of {found['tests']}", f"{found['lost_tests']}", "0", "-", "-"),
+    ]
+
+
+def start_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of the table: the start of a campaign's nodes."""
+    return [
+        (
+            f"start of plant, controller, logger, {unit}",
+            f"{one['nodes']:.2f}",
+            "2 x",
+            f"three bare nodes {one['bare']:.2f}",
+            f"{ratio:.1f}",
+        )
+        for unit, one, ratio in (
+            ("s", found["seconds"], found["ratio_to_bare"]),
+            ("processors, s", found["cpu_seconds"], found["cpu_ratio_to_bare"]),
+        )
     ]
 
 
@@ -263,19 +248,19 @@ def main() -> None:
         "simulation": measured("simulation", simulation_speed),
         "plant_step_us": measured("a sample of the rig", plant_step),
         "identification": measured("identification", identification_speed),
-        "explore": measured("explore", exploration_speed),
-        "bags": measured("bags", bag_reading),
+        "explore": measured("explore", fragility_speed),
+        "reading": measured("reading", bag_reading),
     }
+    found["studies"] = {"seconds_18_loops": found["explore"].pop("seconds_18_loops")}
     with isolated():
         without = measured("lockstep without a priority", partial(lockstep, 0))
         found["lockstep"] = measured("lockstep", partial(lockstep, LEAST_PRIORITY)) | {"without_priority": without}
-        bag = max(Path("bags/bench").glob("*/closed_loop"))
-        found["reading"] = reading(bag)
         found |= measured("controller", controller_speed)
         found["report"] = measured("report", report_speed)
         found["campaign"] = measured("campaign", campaign_overhead)
+        found["node_start"] = measured("node_start", node_start)
     write_text("results/bench.json", json.dumps(found, indent=1) + "\n")
-    loop, bags, step = found["lockstep"], found["reading"], found["plant_step_us"]
+    loop, step = found["lockstep"], found["plant_step_us"]
     trip = 1e6 / loop["echo_per_second"]
     rows = (
         *simulation_rows(found["simulation"]),
@@ -287,21 +272,14 @@ def main() -> None:
             f"{trip / step:.1f}",
         ),
         *lockstep_rows(loop),
-        (
-            f"reading {bags['samples']} responses, s",
-            f"{bags['seconds']:.2f}",
-            "-",
-            f"rosbags {bags['rosbags_seconds']:.2f}",
-            f"{bags['ratio_to_rosbags']:.1f}",
-        ),
-        *bag_rows(found["bags"]),
+        *bag_rows(found["reading"]),
         *identification_rows(found["identification"]),
         *controller_rows(found),
         *report_rows(found["report"]),
         *campaign_rows(found["campaign"]),
+        *start_rows(found["node_start"]),
     )
     print(Table("Speed", ("claim", "reached", "asked", "peer", "ratio"), rows).text())
-    print("\n" + cost_table(found["identification"]).text())
 
 
 if __name__ == "__main__":

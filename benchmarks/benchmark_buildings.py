@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The 20-storey benchmark building: shipped values, its sample controller, abrace's own, also live: `make verify`.
+"""The 20-storey benchmark building: shipped values, its sample controller, abrace's own: `make verify`.
 
 The records are those of the folder that BENCHMARK_DATA names; without it nothing is measured.
 """
@@ -10,17 +10,17 @@ import os
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from benchmark_live import verify_live
 from claims import Claim
 
-from abrace.benchmark.comparison import Evaluation, worst_table
-from abrace.benchmark.criteria import OF_RESPONSE, peaks
-from abrace.benchmark.definition import DATA
-from abrace.benchmark.frame_benchmark import FrameBenchmark
-from abrace.benchmark.laws import OWN, SAMPLE, margins_of, references
-from abrace.benchmark_command import open_benchmark
-from abrace_core.installed import find_file
-from abrace_plant.frames.file import load_frame
+from abrace.benchmark_tables import worst_table
+from abrace_core.files.installed import find_file
+from abrace_studies.benchmark.comparison import Evaluation
+from abrace_studies.benchmark.criteria import OF_RESPONSE, peaks
+from abrace_studies.benchmark.definition import DATA
+from abrace_studies.benchmark.frame_benchmark import FrameBenchmark
+from abrace_studies.benchmark.laws import OWN, SAMPLE, margins_of, references
+from abrace_studies.benchmark.opening import open_benchmark
+from abrace_studies.frames.file import load_frame
 
 if TYPE_CHECKING:
     from abrace.report.table import Table
@@ -50,7 +50,7 @@ The benchmark's own values are not public.
 
 def verify_benchmark20() -> tuple[dict[str, Any] | None, list[Claim], list[Table]]:
     """Values, claims and the table of both controllers."""
-    three = load_frame(find_file("sac_la_3", "abrace_plant", "config/frames", ".yaml", "frame"))
+    three = load_frame(find_file("sac_la_3", "abrace_studies", "frames", ".yaml", "frame"))
     frequencies, _ = three.frame.structure().modes()
     of_three = float(np.abs(frequencies[:6] / (2 * np.pi) / QUOTED_3 - 1).max())
     claims = [Claim("3-storey building: worst of six frequencies", of_three, 4e-4, "quoted values")]
@@ -68,10 +68,8 @@ def verify_benchmark20() -> tuple[dict[str, Any] | None, list[Claim], list[Table
     )
     laws = references(benchmark)
     evaluations = {
-        name: Evaluation.of(name, benchmark.evaluate(law), benchmark.layout, margins_of(benchmark, law))
-        for name, law in laws.items()
+        name: Evaluation(name, benchmark.evaluate(law), margins_of(benchmark, law)) for name, law in laws.items()
     }
-    live, of_live, live_table = verify_live(benchmark, laws[OWN])
     sample, ours = evaluations[SAMPLE], evaluations[OWN]
     sample_worst = max(
         abs(sample.cases[case][name] / float(value) - 1)
@@ -85,7 +83,6 @@ def verify_benchmark20() -> tuple[dict[str, Any] | None, list[Claim], list[Table
         "uncontrolled_3_worst": rebuilt_3,
         "ours": _told(ours),
         "sample": _told(sample),
-        "live": live,
     }
     claims += [
         Claim("3-storey building: worst of 16 uncontrolled values", rebuilt_3, 1e-5, "an independent rebuild"),
@@ -99,9 +96,8 @@ def verify_benchmark20() -> tuple[dict[str, Any] | None, list[Claim], list[Table
         ),
         Claim("20-storey building: gain margin of our LQG [dB]", ours.margins["gain_margin_db"], 6.0, "sample", True),
         Claim("20-storey building: disk margin of our LQG", ours.margins["disk_margin"], 0.3, "sample", True),
-        *of_live,
     ]
-    return values, claims, [worst_table("20-storey benchmark building", [sample, ours]), live_table]
+    return values, claims, [worst_table("20-storey benchmark building", [sample, ours])]
 
 
 def worst_of_three() -> float:

@@ -9,9 +9,9 @@ from bridge_demo import bridge_demo
 from bridge_endurance import bridge_endurance
 from claims import Claim
 from isolation import isolated
+from timing import QUANTILES
 
 from abrace.report.table import Table
-from abrace_plant.live.jitter import QUANTILES
 
 DEMO_SECONDS, FAST_SECONDS, FAST_RATE = 160.0, 30.0, 1000.0
 """Of the demo at the paper's rate, and of that at 1 kHz [Hz], for which nothing is claimed: it needs more than two

@@ -5,7 +5,7 @@ lost_samples      ticks of the emulated target whose sample did not reach a list
 missed_deadlines  answers of controller and playback that came too late to act from the next sample on
 median_us, ...    from a sample's instant to the arrival of the command that answers it: packet, bridge, DDS, law, DDS
 intervals         deviations of the time between two samples, as they are received, from the period
-timer, echo       a bare timer and a bare echo (a round trip over DDS) at the same period afterwards, as the node jitter
+timer, echo       a bare timer and a bare echo (a round trip over DDS) at the same period afterwards
 
 python benchmarks/bridge_demo.py [SECONDS [RATE [PRIORITY]]]
 """
@@ -19,23 +19,23 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import rclpy
 from controller_speed import SOURCE, reduced, rig_and_weights
 from isolation import isolated
-from rclpy.experimental import EventsExecutor
+from timing import Delays, Listener, bare_timer
 
 from abrace.nodes.graph_monitor import GraphMonitor
 from abrace.processes.group import NodeProcess, ProcessGroup, find_executable
-from abrace_core.controller_file import Controller, save_controller
-from abrace_core.node import KEPT_STREAM_QOS, real_time
-from abrace_core.wire import BraceCommands, Responses
+from abrace_core.model.controller_file import Controller, save_controller
+from abrace_core.safety.wire import BraceCommands, Responses
 from abrace_interfaces.msg import BraceCommand, Response
 from abrace_lqg.design import design
-from abrace_plant.live.jitter import Arrivals, Jitter, bare_timer
-from abrace_plant.nodes.jitter import JitterNode
+from abrace_node import real_time
+from abrace_node.transport import KEPT_STREAM_QOS
 
 SECONDS, RATE, PRIORITY = 160.0, 500.0, 50
 TARGET_PRIORITY = 20
@@ -48,15 +48,12 @@ BESIDE = 30.0
 CONFIG = SOURCE / "abrace_plant/config"
 
 
-class Watch(JitterNode):
+class Watch(Listener):
     """Listens to samples and commands, and measures timer and echo."""
 
     def __init__(self) -> None:
-        super().__init__()
-        self.executor_of_work = EventsExecutor()
-        self.executor_of_work.add_node(self)
+        super().__init__("watch")
         self.received: list[int] = []
-        self.stamps: list[int] = []
         self.sampled: dict[int, int] = {}
         self.answered: dict[int, int] = {}
         self._responses, self._commands = Responses(), BraceCommands()
@@ -66,24 +63,24 @@ class Watch(JitterNode):
     def _on_response(self, payload: bytes) -> None:
         self.received.append(time.monotonic_ns())
         stamp, head, _ = self._responses.unpack(payload)
-        self.stamps.append(stamp)
         self.sampled[head.sequence] = stamp
 
     def _on_command(self, payload: bytes) -> None:
         now = time.time_ns()
         self.answered[self._commands.unpack(payload)[1]] = now
 
-    def intervals(self, period: float) -> Jitter:
+    def intervals(self, period: float) -> Delays:
         """Deviations of the times between samples."""
         since = round(SETTLE / period)
-        return Arrivals(self.received[since:], self.stamps[since:], list(self.sampled)[since:]).jitter()[0]
+        steps = np.diff(list(self.sampled)[since:])
+        return Delays(np.abs(np.diff(self.received[since:]) / 1e9 - period * steps), int((steps - 1).sum()))
 
-    def answers(self, period: float) -> Jitter:
+    def answers(self, period: float) -> Delays:
         """Times from samples to the commands that answer them."""
         since = round(SETTLE / period)
         asked = [number for number in self.sampled if number >= since]
         times = [1e-9 * (self.answered[n] - self.sampled[n]) for n in asked if n in self.answered]
-        return Jitter(np.array(times), len(asked) - len(times))
+        return Delays(np.array(times), len(asked) - len(times))
 
 
 def start(group: ProcessGroup, name: str, package: str, *arguments: object) -> NodeProcess:
@@ -131,25 +128,27 @@ def bridge_demo(seconds: float = SECONDS, rate: float = RATE, priority: int = PR
         "controller": {"publishers of response": 1, "subscribers of brace_command": 2},
         "ground_motion": {"publishers of response": 1, "subscribers of ground_motion": 1},
     }
-    with ProcessGroup() as group, GraphMonitor("/bridge_demo", ("sensor_bridge",), "monitor") as monitor:
+    with ProcessGroup() as group, GraphMonitor("/bridge_demo", ("sensor_bridge",), ("ground_motion",)) as monitor:
         start(
             group, "emulator", "abrace_plant", "--rig", rig_file, "--device", device,
             "--priority", priority + TARGET_PRIORITY, "--log", "emulator.json",
         )  # fmt: skip
-        bridge = node_arguments(rig=rig_file, device=device, duration=seconds, autostart="false", **loop)
+        given = {"rig": rig_file, "device": device, "duration": seconds, "stop_heartbeat": 600.0}
+        bridge = node_arguments(autostart="false", **given, **loop)
         start(group, "sensor_bridge", "abrace_plant", *bridge)
         start(
             group, "controller", "abrace_lqg", *node_arguments(**loop), "--params-file", controller_of(rate).resolve()
         )
-        motion = {"record": "el_centro", "peak_acceleration": 0.980665, "duration": seconds, "sample_rate": rate}
+        motion = {"record": "el_centro", "peak_acceleration": 0.980665, "duration": seconds}
         start(group, "ground_motion", "abrace_plant", *node_arguments(rig=rig_file, **motion, **loop))
-        rclpy.init(args=node_arguments(duration=BESIDE, **loop))
+        rclpy.init(args=["--ros-args", "-r", "__ns:=/bridge_demo"])
         watch = Watch()
         try:
-            monitor.configure("sensor_bridge", PATIENCE, group.raise_if_died)
+            monitor.change_state("sensor_bridge", "configure", PATIENCE, group.raise_if_died)
             monitor.wait_until_matched(expected, PATIENCE, group.raise_if_died)
-            real_time.apply(watch.parameters, print)
-            monitor.activate("sensor_bridge", PATIENCE, group.raise_if_died)
+            real_time.apply(SimpleNamespace(cpu_affinity=[], lock_memory=False, **loop), print)
+            monitor.change_state("sensor_bridge", "activate", PATIENCE, group.raise_if_died)
+            monitor.play(PATIENCE, group.raise_if_died)
             while (ended := group.poll()) is None:
                 watch.spin_until(lambda: False, time.monotonic() + 0.5)
             watch.spin_until(lambda: False, time.monotonic() + 0.5)
@@ -161,7 +160,7 @@ def bridge_demo(seconds: float = SECONDS, rate: float = RATE, priority: int = PR
             parts = {
                 "intervals": watch.intervals(1 / rate),
                 "timer": bare_timer(1 / rate, BESIDE),
-                "echo": watch.echo(1 / rate),
+                "echo": watch.echo(1 / rate, BESIDE),
             }
             answers = watch.answers(1 / rate).statistics()
             return {
@@ -174,7 +173,7 @@ def bridge_demo(seconds: float = SECONDS, rate: float = RATE, priority: int = PR
                 "emulator": json.loads(Path("emulator.json").read_text(encoding="utf-8")),
             }
         finally:
-            watch.executor_of_work.shutdown()  # which would keep it in the graph, where the next one meets a namesake
+            watch.own_executor.shutdown()  # which would keep it in the graph, where the next one meets a namesake
             watch.destroy_node()
             rclpy.try_shutdown()
 

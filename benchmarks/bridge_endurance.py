@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from udp_target import KINDS, PERIOD, UdpTarget, device_file, malformed, values_of
 
-from abrace_plant.devices.device import DeviceError
+from abrace_plant.devices.device import DeviceError, Wanted
 from abrace_plant.devices.udp import UdpFile
 
 if TYPE_CHECKING:
@@ -65,14 +65,14 @@ def bridge_endurance(packets: int = MALFORMED, timeout: float = TIMEOUT) -> dict
         target.start()
         try:
             device.open()
-            first = round(device.exchange([0.0], 0.0).values[0])
+            first = round(device.exchange([0.0], 0.0, Wanted.FOLLOW, 1).values[0])
             at_first, last = device.samples, first
             wrong = errors = 0
             worst, follows = 0.0, True
             while sum(device.dropped.values()) < packets and last - first < 2 * packets:
                 begun = time.perf_counter()
                 try:
-                    reading = device.exchange([0.0], 0.0)
+                    reading = device.exchange([0.0], 0.0, Wanted.FOLLOW, 1)
                 except DeviceError:
                     errors += 1
                     follows = False  # it takes the next samples, whatever their counter is

@@ -20,18 +20,20 @@ from claims import Claim
 from laboratory import Laboratory
 
 from abrace.report.table import Table
-from abrace_core.controller_file import load_controller
-from abrace_core.discretization import discretize
-from abrace_core.drawing import save_figure
-from abrace_core.linear_model import pole_table, save_model
-from abrace_core.node import find_file
-from abrace_core.response import peak_rms
-from abrace_core.simulation import simulate
+from abrace_core.figures.saving import save_figure
+from abrace_core.files.installed import find_file
+from abrace_core.model.controller_file import load_controller
+from abrace_core.model.discretization import discretize
+from abrace_core.model.linear_model import pole_table, save_model
+from abrace_core.model.response import peak_rms
+from abrace_core.model.simulation import simulate
+from abrace_lqg.proof.limits import DesignOptions
 from abrace_lqg.proof.proven_design import design_to_file
 from abrace_lqg.weights import load_weights
 from abrace_plant.records.files import read_record
-from abrace_plant.records.intensity import STANDARD_GRAVITY
-from abrace_plant.records.treatment import Treatment, prepare
+from abrace_plant.records.measures import STANDARD_GRAVITY
+from abrace_plant.records.options import Treatment
+from abrace_plant.records.treatment import prepare
 from abrace_plant.rig.file import load_rig
 from abrace_sysid.figures import identification as figures
 from abrace_sysid.fitting.options import IdentificationOptions
@@ -40,8 +42,8 @@ from abrace_sysid.validation import compare
 from abrace_sysid.validity.judgement import judge
 
 if TYPE_CHECKING:
-    from abrace_core.controller_file import Controller
-    from abrace_core.run import Run
+    from abrace_core.model.controller_file import Controller
+    from abrace_core.model.run import Run
     from abrace_plant.rig.model import Rig
 
 SECONDS = 300.0
@@ -91,7 +93,7 @@ def chain(name: str) -> dict[str, Any]:
     options = IdentificationOptions(table_band=(0.3, HIGHEST[name]))
     found = identify(*tests, options)
     begin = timed("identify, with the reduction", begin)
-    validity = judge(tests[:1], tests[1:], options, found).validity
+    validity = judge(found).validity
     begin = timed("judge", begin)
     save_model(found.model, folder / "model.json", found.covariance)
     for model, content in (("reduced", found.reduced), ("superposed", found.superposed)):
@@ -101,8 +103,7 @@ def chain(name: str) -> dict[str, Any]:
         folder / "half.yaml",
         weights=load_weights(find_file("half", "abrace_lqg", "config", ".yaml", "weights")),
         weights_name="half",
-        sample_period=1 / rig.sample_rate,
-        force_limit=rig.capacity.tolist(),
+        options=DesignOptions(sample_period=1 / rig.sample_rate, force_limit=tuple(rig.capacity.tolist())),
     )
     begin = timed("design and proof", begin)
     ground, laboratory = earthquake(rig), Laboratory(rig, 11)
@@ -111,12 +112,10 @@ def chain(name: str) -> dict[str, Any]:
     controlled = laboratory.closed_loop("bags/controlled", ground, controller.law, controller.correction)
     begin = time.process_time()
     report = _compared(found, free, controlled, controller, rig)
-    response = found.command_response
-    save_figure(figures.residuals([found.table_response, response], found.model), RESULTS / name / "residuals.png")
     shown = [output for output in found.model.outputs if output in (f"x{rig.floors}", "a1")]
     for data in found.commands:
         drawn = figures.transfer_functions(data.responses[0], shown, found.model)
-        save_figure(drawn, RESULTS / name / f"figure_5_command_{data.input}.png")
+        save_figure(drawn, RESULTS / name / f"figure_5_command_{data.input}.svg")
     timed("comparison and figures", begin)
     for path in folder.glob("half*"):
         shutil.copy(path, RESULTS / name)
@@ -167,7 +166,7 @@ def _compared(found: Identification, free: Run, controlled: Run, controller: Con
 
 def pole_errors(found: Identification, rig: Rig) -> tuple[float, float]:
     """Worst relative errors of frequency and damping of the rig's own pairs."""
-    own = np.array(pole_table(rig.model.poles()))
+    own = np.array(pole_table(rig.model.poles))
     pairs = np.array([(pair.frequency, pair.damping) for pair in found.poles.common_pairs])
     nearest = np.abs(pairs[:, :1] / own[:, 0] - 1).argmin(axis=0)
     frequency, damping = np.abs(pairs[nearest] / own - 1).max(axis=0)

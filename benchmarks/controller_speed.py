@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller against its peers: a step of it, its answer over DDS, its gains and its discretisation.
+"""The controller against its peers: a step of it, and its answer over DDS.
 
 step_us            a sample from its bytes to the bytes of its command: unpacked, checked for gaps, LQG3's law, the
                    guard's limits, packed, the estimate advanced with the applied force; without DDS
 loop               sample to command between two processes over DDS, measured by the sender of the sample: our node
                    `controller` against the bare echo of the same two messages, in turns in one run
-lqr_agreement      largest difference of LQG3's gains from python-control's lqr (method='scipy') for the same balanced
-                   model and weights, over the largest gain; its lqe has no correlated noise: the filter is compared by
-                   duality
-tustin_agreement   the same of Eq. (13)'s frequency response against scipy's cont2discrete(method='bilinear')
 
 python benchmarks/controller_speed.py
 """
@@ -27,24 +23,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from abrace_core.controller_file import Controller, save_controller
-from abrace_core.linear_model import LinearModel
-from abrace_core.safety.answering import Answering
+from abrace_core.model.controller_file import Controller, save_controller
+from abrace_core.model.signals import command_names, response_names
 from abrace_core.safety.command_guard import CommandGuard
 from abrace_core.safety.rig_safety import RAMP_TIME, State
-from abrace_core.signals import command_names, response_names
-from abrace_core.wire import LOCKSTEP, BraceCommands, Head, Responses
+from abrace_core.safety.sample_gate import SampleGate
+from abrace_core.safety.wire import LOCKSTEP, BraceCommands, Head, Responses
 from abrace_lqg.active_controller import ActiveController
-from abrace_lqg.design import balanced, delayed, design
-from abrace_lqg.riccati import kalman, regulator
+from abrace_lqg.design import design
 from abrace_lqg.weights import Weights, load_weights
 from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.published import INTENSITY
 from abrace_sysid.models.reduction import balanced_truncation, typical_scales
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from abrace_core.model.linear_model import LinearModel
     from abrace_plant.rig.model import Rig
 
 HERE = Path(__file__).parent.resolve()
@@ -84,7 +77,7 @@ def samples(count: int, first: int = 0) -> list[bytes]:
         # in lockstep nobody takes a pause between two samples for silence
         zeros, head = [0.0], Head(sequence, 1, 0, LOCKSTEP, State.RUNNING)
         arrays = 3 * zeros, values.tolist(), zeros, 2 * zeros, zeros
-        found.append(responses.pack(sequence * PERIOD_NS, head, "", [2], *arrays, 0.0))
+        found.append(responses.pack(sequence * PERIOD_NS, head, "", [2], *arrays, 0.0, 0.0))
     return found
 
 
@@ -94,23 +87,23 @@ def step_us(controller: Controller) -> float:
     period = law.sample_period
     payloads, best = samples(STEPS), float("inf")
     for _ in range(TURNS):
-        responses, commands, answering = Responses(), BraceCommands(), Answering()
-        guard, safety = CommandGuard(controller.force_limit, [5e6] * groups, period, RAMP_TIME), answering.safety
-        answering.configure([guard], period)
-        answering.activate()
+        responses, commands, gate = Responses(), BraceCommands(), SampleGate()
+        guard, safety = CommandGuard(controller.force_limit, [2.5e6] * groups, period, RAMP_TIME), gate.safety
+        gate.configure([guard], period)
+        gate.activate()
         active = ActiveController(controller, 0.0)
         active.reset(response_names(3, groups), command_names(groups), np.array(guard.value))
         begin = time.perf_counter()
         for payload in payloads:
             stamp, head, z = responses.unpack(payload)
-            lost = answering.receive(stamp, head, "", time.monotonic())
+            lost = gate.receive(stamp, head, "", time.monotonic())
             safety.act([active.force(z, max(lost, 0)).tolist()])
             force = guard.value
             commands.pack(stamp, head.run, head.sequence, force, safety.cause)
             active.advance(force)
         best = min(best, time.perf_counter() - begin)
         assert safety.state is State.RUNNING, safety.cause
-        assert not answering.watch.old
+        assert not gate.watch.old
     return 1e6 * best / STEPS
 
 
@@ -143,8 +136,8 @@ def ask() -> None:
     import rclpy
     from rclpy.experimental import EventsExecutor
 
-    from abrace_core.node import STREAM_QOS
     from abrace_interfaces.msg import BraceCommand, Response
+    from abrace_node.transport import STREAM_QOS
 
     rclpy.init()
     node = rclpy.create_node("ask")
@@ -194,59 +187,12 @@ def ask() -> None:
     print(json.dumps(found))
 
 
-def lqr_agreement() -> dict[str, float]:
-    """Largest difference of the gains, over the largest gain, with the rig's whole model and eight states of it."""
-    import control
-
-    rig, weights = rig_and_weights()
-    found = {}
-    for name, model in (("8_states", reduced(rig)), (f"{rig.model.order}_states", rig.model)):
-        plant = balanced(delayed(model, 1 / rig.sample_rate))
-        measured = plant.select(weights.measured)
-        a, b, e, f = plant.a, plant.b[:, 1:], plant.b[:, :1], measured.d[:, :1]
-        q, r = np.diag(weights.diagonal(plant.outputs)), np.diag(weights.diagonal(plant.inputs[1:]))
-        v = weights.noise_to_excitation * np.eye(len(weights.measured))
-        d = plant.d[:, 1:]
-        state, cross = _symmetric(plant.c.T @ q @ plant.c), plant.c.T @ q @ d
-        theirs = control.lqr(a, b, state, r + d.T @ q @ d, cross, method="scipy")[0]
-        dual = control.lqr(a.T, measured.c.T, _symmetric(e @ e.T), v + f @ f.T, e @ f.T, method="scipy")[0].T
-        found[f"{name}_regulator"] = _difference(regulator(a, b, plant.c, d, q, r), theirs)
-        found[f"{name}_filter"] = _difference(kalman(a, e, measured.c, f, v), dual)
-    return found
-
-
-def tustin_agreement() -> float:
-    """Largest difference of the sampled controllers' frequency responses, over their largest value."""
-    from scipy import signal
-
-    rig, weights = rig_and_weights()
-    made = design(reduced(rig), weights, 1 / rig.sample_rate)
-    law, continuous = made.controller, made.continuous
-    parts = (continuous.a, continuous.b, continuous.c, continuous.d)
-    a, b, c, d, period = signal.cont2discrete(parts, law.sample_period, method="bilinear")
-    theirs = LinearModel(a, b, c, d, law.inputs, law.outputs, period)
-    omega = np.geomspace(0.1, 1500.0, 500)
-    return _difference(law.frequency_response(omega), theirs.frequency_response(omega))
-
-
-def _symmetric(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    return (matrix + matrix.T) / 2
-
-
-def _difference(ours: NDArray[Any], theirs: NDArray[Any]) -> float:
-    return float(np.abs(ours - theirs).max() / np.abs(theirs).max())
-
-
 def controller_speed() -> dict[str, Any]:
     """All of it, for bench.json."""
     controller = lqg3()
-    agreement = lqr_agreement()
     return {
         "controller": {"step_us": step_us(controller), "states": controller.law.order},
         "loop": loop_latency(controller),
-        "lqr_agreement": max(agreement.values()),
-        "lqr_agreement_of": agreement,
-        "tustin_agreement": tustin_agreement(),
     }
 
 

@@ -23,8 +23,9 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.utilities import remove_ros_args
 
-from abrace_core.node import STREAM_QOS, real_time
 from abrace_interfaces.msg import BraceCommand, Response
+from abrace_node import real_time
+from abrace_node.transport import STREAM_QOS
 
 if TYPE_CHECKING:
     from rclpy.node import Node

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What LQG3's weights were fitted to, and what they do where nothing was fitted: in the part `lqg` of `make verify`.
 
-`src/abrace/scripts/fit_weights.py` found five numbers (the weights of displacements and of three accelerations, and the
-noise) such that El Centro at 0.1 g meets the 18 cells of Table 1's experiment. So the distance from these cells is that
-of a fit. Everything else is a test of the weights: other motions on the same rig, and El Centro on rigs that no search
-saw.
+`benchmarks/fit_weights.py` found five numbers (the weights of displacements and of three accelerations,
+and the noise) such that El Centro at 0.1 g meets the 18 cells of Table 1's experiment. So the distance from these cells
+is that of a fit. Everything else is a test of the weights: other motions on the same rig, and El Centro on rigs that no
+search saw.
 """
 
 from __future__ import annotations
@@ -15,24 +15,25 @@ import numpy as np
 from papers_simulation import printed, rig_with
 
 from abrace.report.table import Table
-from abrace_core.node import find_file
-from abrace_core.response import TABLE_1_EXPERIMENT, in_paper_units, mean_relative_error, peak_rms_of
-from abrace_core.simulation import simulate, simulate_closed_loop
+from abrace_core.files.installed import find_file
+from abrace_core.model.response import TABLE_1_EXPERIMENT, in_paper_units, mean_relative_error, peak_rms_of
+from abrace_core.model.simulation import simulate, simulate_closed_loop
 from abrace_lqg.analysis.disk_margin import disk_margin
 from abrace_lqg.analysis.margins import margins
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights
 from abrace_plant.records.files import read_record
-from abrace_plant.records.intensity import STANDARD_GRAVITY
-from abrace_plant.records.treatment import Treatment, prepare
+from abrace_plant.records.measures import STANDARD_GRAVITY
+from abrace_plant.records.options import Treatment
+from abrace_plant.records.treatment import prepare
 from abrace_plant.rig import published
 from abrace_plant.rig.file import load_rig
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from abrace_core.controller_file import Controller
-    from abrace_core.linear_model import LinearModel
+    from abrace_core.model.controller_file import Controller
+    from abrace_core.model.linear_model import LinearModel
     from abrace_plant.rig.model import Rig
 
 OTHER_RIGS = ("single_storey", "five_storey")
@@ -84,8 +85,8 @@ def _measure(rig: Rig, law: LinearModel, correction: NDArray[np.float64]) -> dic
     return {
         "table1_error": mean_relative_error(table, TABLE_1_EXPERIMENT) if whole else None,
         "reduction": _means(floors),
-        "gain_margin_db": found.gain,
-        "phase_margin_deg": found.phase,
+        "gain_margin_db": found.gain_db,
+        "phase_margin_deg": found.phase_deg,
         "disk_margin": disk_margin(plant, law).alpha,
     }
 

@@ -12,7 +12,7 @@ import multiprocessing
 import os
 from collections import Counter
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,26 +20,27 @@ from laboratory import Laboratory
 from n4sid import n4sid_poles
 from simulation import ONE_THREAD
 
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import pole_table
-from abrace_core.node import find_file
-from abrace_core.progress import Progress
+from abrace_core import AbraceError
+from abrace_core.files.installed import find_file
+from abrace_core.files.progress import Progress
+from abrace_core.model.linear_model import pole_table
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights
 from abrace_plant.records.files import read_record
-from abrace_plant.records.intensity import STANDARD_GRAVITY
-from abrace_plant.records.treatment import Treatment, prepare
+from abrace_plant.records.measures import STANDARD_GRAVITY
+from abrace_plant.records.options import Treatment
+from abrace_plant.records.treatment import prepare
 from abrace_plant.rig import published
 from abrace_plant.rig.file import load_rig
 from abrace_sysid.fitting.options import IdentificationOptions
-from abrace_sysid.fitting.pole_fits import fit_poles_of
 from abrace_sysid.identification import Identification, identify
+from abrace_sysid.methods import fit
 from abrace_sysid.validation import compare
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from abrace_core.run import Run
+    from abrace_core.model.run import Run
     from abrace_plant.rig.model import Rig
     from abrace_sysid.fitting.pole_estimate import PoleInterval
 
@@ -47,18 +48,14 @@ if TYPE_CHECKING:
     """Frequency [rad/s] and damping ratio of pole pairs."""
 
 SEEDS, COVERAGE_SEEDS = 8, 20
-PEERS = ("paper", "n4sid", "sk", "vector_fitting")
-"""Methods compared with ours; the first two are measured over all seeds, all four on one."""
+PEERS = ("paper", "n4sid", "vector_fitting")
+"""Methods compared with ours; the first two are measured over all seeds, all three on one."""
 
 SHOWN = (600, 0)
 """Length and seed of the tests on which all methods are compared pole by pole."""
 
 INPUTS = {"table": "w", "command": "U"}
 """Of the tests."""
-
-SK_TABLE_ORDER = 8
-"""Poles of Sanathanan and Koerner's fit of the table test: the building's, and two for what else shows. Six alone are
-ten times as far off in frequency and three times in damping, ten or more are unstable."""
 
 LENGTHS: tuple[float | None, ...] = (120, 300, 600, None)
 """Seconds of each of both tests; None: a multisine of 5 periods of 32.768 s instead."""
@@ -109,7 +106,7 @@ def the_rig() -> Rig:
 
 def true_pairs(rig: Rig) -> dict[str, Pairs]:
     """The rig's own pairs that each test shows: the building's from the table, all from the command."""
-    own = pole_table(rig.model.poles())
+    own = pole_table(rig.model.poles)
     return {"table": own[: rig.floors], "command": own, "common": own}
 
 
@@ -121,24 +118,27 @@ def two_tests(rig: Rig, length: float | None, seed: int) -> dict[str, Run]:
     return {"table": first.table_test(length), "command": second.command_test(length)}
 
 
-def by_peer(method: str, test: str, run: Run, found: Identification) -> Pairs | str:
-    """A test's pairs by another method: N4SID from the record, the others from our transfer functions."""
-    floors = run.floors
-    options = IdentificationOptions(fit=method, command_order=12, servo_lag=published.BENCH_LAG)
+def by_peer(method: str, runs: dict[str, Run], found: Identification) -> dict[str, Pairs | str]:
+    """Each test's pairs by another method: N4SID from the record, the others from our transfer functions."""
+    if method == "n4sid":
+        return {test: _by_n4sid(test, run) for test, run in runs.items()}
+    options = IdentificationOptions.model_validate({"method": method, "servo_lag": published.BENCH_LAG})
     try:
-        if method == "n4sid":
-            poles = n4sid_poles(run, INPUTS[test])
-        elif test == "table":
-            # in the command's place, whose order is free; the command test does not matter here
-            order = SK_TABLE_ORDER if method == "sk" else 2 * floors
-            poles = fit_poles_of(
-                found.table, [found.table], floors, replace(options, command_order=order), _in_silence
-            ).command
-        else:
-            poles = fit_poles_of(found.table, [found.command], floors, options, _in_silence).command
+        poles = fit(found.table, found.commands, runs["table"].floors, options, _in_silence).poles
+    except AbraceError as error:
+        return dict.fromkeys(runs, str(error))
+    return {
+        test: [(pair.frequency, pair.damping) for pair in pairs]
+        for test, pairs in (("table", poles.table_pairs), ("command", poles.command_pairs))
+    }
+
+
+def _by_n4sid(test: str, run: Run) -> Pairs | str:
+    try:
+        poles = n4sid_poles(run, INPUTS[test])
     except AbraceError as error:
         return str(error)
-    return pole_table(poles) or f"{run.source}: {method} finds no oscillating pair"
+    return pole_table(poles) or f"{run.source}: n4sid finds no oscillating pair"
 
 
 def _in_silence(_step: str, _fraction: float) -> None:
@@ -152,7 +152,7 @@ def measure_trial(length: float | None, seed: int) -> Trial:
     poles = found.poles
     ours = {"table": poles.table_pairs, "command": poles.command_pairs, "common": poles.common_pairs}
     methods = PEERS if (length, seed) == SHOWN else PEERS[:2] if seed < SEEDS else ()
-    peers = {method: {test: by_peer(method, test, run, found) for test, run in runs.items()} for method in methods}
+    peers = {method: by_peer(method, runs, found) for method in methods}
     return Trial(length, seed, ours, peers)
 
 

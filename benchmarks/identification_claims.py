@@ -10,13 +10,11 @@ import numpy as np
 from claims import Claim
 
 from abrace.report.table import Table
+from abrace_core.model.modes import nearest_mode
 from abrace_plant.rig import published
 
 if TYPE_CHECKING:
     from abrace_sysid.fitting.pole_estimate import PoleInterval
-
-SAME_POLE = 0.05
-"""Relative difference in frequency within which two poles are taken for the same."""
 
 
 def verify_identification() -> tuple[dict[str, Any], list[Claim], list[Table]]:
@@ -84,8 +82,8 @@ def pole_comparison(trial: accuracy.Trial, true: dict[str, accuracy.Pairs]) -> T
     def nearest(found: accuracy.Pairs | str, own: tuple[float, float]) -> str:
         if isinstance(found, str):
             return "refused"
-        one = min(found, key=lambda pair: abs(pair[0] - own[0]))
-        return number(one) if abs(one[0] / own[0] - 1) < SAME_POLE else "none near"
+        nearest = nearest_mode([pair[0] for pair in found], own[0])
+        return "none near" if nearest is None else number(found[nearest])
 
     rows, notes = [], []
     for matrix, test in (("A1", "table"), ("A2", "command")):
@@ -98,7 +96,6 @@ def pole_comparison(trial: accuracy.Trial, true: dict[str, accuracy.Pairs]) -> T
     titles = {
         "paper": "paper's method",
         "n4sid": "N4SID",
-        "sk": "Sanathanan-Koerner",
         "vector_fitting": "vector fitting",
     }
     header = ("", "rig", "abrace, 95 %", *(titles[method] for method in accuracy.PEERS), "paper's own rig")

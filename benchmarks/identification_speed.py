@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed of identification, from bags of 600 s to the model, against its peers in one run, on one core and one thread.
 
-read_seconds   `read_run` of one bag, 300 000 samples of all channels to arrays, against reading its responses with
-               `rosbags` and with `mcap-ros2-support`
+read_seconds   `read_run` of one bag, 300 000 samples of all channels to arrays
 fit_seconds    `identify`, from the two tests read to the models
 scikit_rf      scikit-rf's VectorFitting and our `vector_fitting` on the same transfer functions, those of both tests,
                all channels; the errors are the worst of the rig's poles, three from the table and six from the command
-cost           `fit_poles`, the maximum likelihood of the command test's poles, against frequency lines and channels
 
 scikit-rf gets as many poles as ours, spread over the same band. It fits ratios of polynomials of s, so hold and servo's
 lag are taken out before, untimed; ours leaves both in. It weighs responses by their norms, which here are units of
@@ -27,28 +25,27 @@ python benchmarks/identification_speed.py
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bag_of_run import write_bag
 from laboratory import Laboratory
 from simulation import ONE_THREAD, SOURCE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     import numpy as np
     from numpy.typing import NDArray
 
-    from abrace.report.table import Table
-    from abrace_core.run import Run
     from abrace_plant.rig.model import Rig
     from abrace_sysid.identification import Identification
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
@@ -60,10 +57,6 @@ SILENT_SECONDS = 4
 REPEATS, PEER_REPEATS = 5, 2
 TABLE_ORDER, COMMAND_ORDER = 9, 13
 """Poles of the vector fits: pairs, and the servo's slow real pole; from the table a local mode shows too."""
-
-RECORDS = (75, 150, 300, 600)
-CHANNELS = ("f", "a3", "a1", "xf", "a2", "x1", "x2", "x3")
-"""The order in which channels are added."""
 
 
 def identification_speed() -> dict[str, Any]:
@@ -86,36 +79,6 @@ def best_of(repeats: int, run: Callable[[], object], warm: bool = True) -> float
     return min(times)
 
 
-def write_bag(bag: Path, run: Run, rig: str, more: Mapping[str, str] | None = None) -> None:
-    """The test as the logger would have written it, with `more` facts."""
-    from abrace_bags import BagWriter, message_definition
-    from abrace_core.safety.rig_safety import State
-    from abrace_core.wire import Head, Responses
-
-    floors, groups = run.floors, run.groups
-    definition, responses = message_definition("abrace_interfaces/msg/Response"), Responses()
-    facts = {"sample_period": str(run.sample_period), "rig": rig, **(more or {})}
-    period = round(1e9 * run.sample_period)
-    samples = zip(run.outputs.tolist(), run.command.tolist(), run.ground_acceleration.tolist(), strict=True)
-    with BagWriter(bag, facts) as writer:
-        topic = writer.add_topic("/response", definition.type_name, definition.text, definition.type_hash)
-        for sequence, (outputs, command, ground) in enumerate(samples):
-            stamp, stroke, acceleration = sequence * period, outputs[floors:], outputs[floors + groups :]
-            payload = responses.pack(
-                stamp,
-                Head(sequence, 1, 0, 0, State.RUNNING),
-                "",
-                [1] * groups,
-                outputs[:floors],
-                acceleration[:floors],
-                stroke[:groups],
-                acceleration[floors:],
-                command,
-                ground,
-            )
-            writer.write(topic, payload, stamp, stamp)
-
-
 def read_with_rosbags(bag: Path) -> int:
     """Number of responses, each deserialised."""
     from rosbags.highlevel import AnyReader
@@ -136,34 +99,16 @@ def read_with_mcap_ros2(bag: Path) -> int:
         return sum(message is not None for *_, message in reader.iter_decoded_messages(log_time_order=False))
 
 
-def reading(bag: Path, samples: int) -> dict[str, Any]:
-    """Seconds of `read_run` and of its peers; of a peer that is not installed, None."""
-    from abrace_bags import read_run
-
-    def counted(read: Callable[[Path], int]) -> None:
-        count = read(bag)
-        assert count == samples, f"{read.__name__}: {count} responses, expected {samples}"
-
-    installed = importlib.util.find_spec("mcap_ros2") is not None
-    return {
-        "read_seconds": best_of(REPEATS, lambda: read_run(bag)),
-        "rosbags_seconds": best_of(PEER_REPEATS, lambda: counted(read_with_rosbags), warm=False),
-        "mcap_ros2_support_seconds": best_of(PEER_REPEATS, lambda: counted(read_with_mcap_ros2), warm=False)
-        if installed
-        else None,
-    }
-
-
 def pole_errors(poles: NDArray[np.complex128], rig: Rig, modes: int) -> tuple[float, float]:
     """Worst fraction by which frequency and damping of the rig's slowest `modes` are missed by the nearest poles."""
     import numpy as np
 
-    from abrace_core.linear_model import pole_table
+    from abrace_core.model.linear_model import pole_table
 
     upper = poles[poles.imag > 0]
     frequency, damping = np.abs(upper), -upper.real / np.abs(upper)
     errors = []
-    for true_frequency, true_damping in pole_table(rig.model.poles())[:modes]:
+    for true_frequency, true_damping in pole_table(rig.model.poles)[:modes]:
         nearest = np.argmin(np.abs(frequency - true_frequency))
         errors.append((abs(frequency[nearest] / true_frequency - 1), abs(damping[nearest] / true_damping - 1)))
     worst = np.max(errors, axis=0)
@@ -190,8 +135,8 @@ def fit_with_scikit_rf(plain: FrequencyResponse, order: int) -> tuple[NDArray[np
 def vector_fits(identified: Identification, rig: Rig) -> dict[str, Any]:
     """Seconds of the fits of both tests and the worst errors of each; the ratio is that of the two vector fits."""
     from abrace_sysid.fitting.options import IdentificationOptions
-    from abrace_sysid.fitting.pole_fits import fit_poles_of
     from abrace_sysid.fitting.vector_fitting import vector_fitting
+    from abrace_sysid.methods import fit
 
     table, command = identified.table_response, identified.command_response
     cases = (
@@ -211,9 +156,7 @@ def vector_fits(identified: Identification, rig: Rig) -> dict[str, Any]:
     options = IdentificationOptions()
     seconds["maximum_likelihood"] = best_of(
         REPEATS,
-        lambda: fit_poles_of(
-            identified.table, [identified.command], rig.floors, options, lambda _step, _fraction: None
-        ),
+        lambda: fit(identified.table, [identified.command], rig.floors, options, lambda _step, _fraction: None),
     )
     worst = {name: tuple(max(column) for column in zip(*found, strict=True)) for name, found in errors.items()}
     return {
@@ -232,63 +175,11 @@ def vector_fits(identified: Identification, rig: Rig) -> dict[str, Any]:
     }
 
 
-def cost(laboratory: Laboratory, start: NDArray[np.complex128]) -> dict[str, list[dict[str, Any]]]:
-    """Seconds of the likelihood's fit of the command test for records of several lengths, and for several channels."""
-    from abrace_sysid.fitting.maximum_likelihood import fit_poles
-    from abrace_sysid.fitting.observation import Observation
-    from abrace_sysid.recordings import prepare
-    from abrace_sysid.spectra.bands import excited_band
-    from abrace_sysid.spectra.fourier import spectra_of
-
-    def row(run: Run, channels: int) -> dict[str, Any]:
-        (name,) = run.command_names
-        band = excited_band(run, name)
-        spectra = spectra_of(prepare(run, [name], band).run, [name], band).select(CHANNELS[:channels])
-        observation = Observation.of_spectra(spectra, run.source)
-        steps = fit_poles([observation], start).iterations
-        seconds = best_of(REPEATS, lambda: fit_poles([observation], start), warm=False)
-        return {
-            "record_seconds": len(run.outputs) * run.sample_period,
-            "lines": len(spectra.omega),
-            "channels": channels,
-            "steps": steps,
-            "seconds": seconds,
-            "microseconds_per_line_and_step": 1e6 * seconds / len(spectra.omega) / steps,
-            "microseconds_per_line_step_and_channel": 1e6 * seconds / len(spectra.omega) / steps / channels,
-        }
-
-    runs = [laboratory.command_test(record - SILENT_SECONDS) for record in RECORDS]
-    return {
-        "lines": [row(run, len(CHANNELS)) for run in runs],
-        "channels": [row(runs[-1], channels) for channels in (1, 2, 4, 8)],
-    }
-
-
-def cost_table(found: dict[str, Any]) -> Table:
-    """The fit's cost against lines and channels, for people; `found` is `bench.json`'s."""
-    from abrace.report.table import Table
-
-    rows = [
-        (
-            f"{row['record_seconds']:.0f} s, {row['channels']} channel{'s' if row['channels'] > 1 else ''}",
-            str(row["lines"]),
-            str(row["steps"]),
-            f"{row['seconds']:.3f}",
-            f"{row['microseconds_per_line_and_step']:.2f}",
-            f"{row['microseconds_per_line_step_and_channel']:.2f}",
-        )
-        for kind in ("lines", "channels")
-        for row in found["cost"][kind]
-    ]
-    header = ("command test, 14 poles", "lines", "steps", "seconds", "us/line/step", "us/line/step/channel")
-    return Table("Cost of the maximum likelihood's fit", header, tuple(rows))
-
-
 def measure() -> dict[str, Any]:
     """Seconds, ratios and errors; for bench.json."""
     from abrace_bags import read_run
     from abrace_plant.rig.file import load_rig
-    from abrace_sysid.fitting.vector_fitting import starting_poles
+    from abrace_sysid.fitting.options import IdentificationOptions
     from abrace_sysid.identification import identify
 
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
@@ -299,16 +190,16 @@ def measure() -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         bags = {name: Path(folder) / name for name in tests}
         for name, test in tests.items():
-            write_bag(bags[name], test, rig.name)
-        found: dict[str, Any] = reading(bags["table"], len(tests["table"].outputs))
+            write_bag(replace(test, facts={"sample_period": str(test.sample_period), "rig": rig.name}), bags[name])
+        found: dict[str, Any] = {"read_seconds": best_of(REPEATS, lambda: read_run(bags["table"]))}
         table, command = (read_run(bag) for bag in bags.values())
     for name, read in (("table", table), ("command", command)):
         assert (read.outputs == tests[name].outputs).all(), f"{name}: what was read is not what was written"
     found["fit_seconds"] = best_of(REPEATS, lambda: identify(table, command))
+    by_vector_fitting = IdentificationOptions(method="vector_fitting")
+    found["vector_fitting_seconds"] = best_of(REPEATS, lambda: identify(table, command, by_vector_fitting))
     identified = identify(table, command)
     found["scikit_rf"] = vector_fits(identified, rig)
-    start = starting_poles(identified.command_response, COMMAND_ORDER // 2, 2)
-    found["cost"] = cost(laboratory, start)
     return found
 
 

@@ -34,11 +34,11 @@ from rehearsal import (
 )
 
 from abrace.report.table import Table
-from abrace_core.node import find_file
+from abrace_core.files.installed import find_file
 from abrace_lqg.weights import load_weights
 from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.interlocks import Interlocks
-from abrace_plant.rig.limits import TIMES
+from abrace_plant.rig.limits import INTERLOCKS
 from abrace_plant.rig.sensors import FAULTS, Measurement
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
     from planted_causes import Tripped
 
-    from abrace_core.controller_file import Controller
+    from abrace_core.model.controller_file import Controller
     from abrace_lqg.weights import Weights
     from abrace_plant.rig.model import Rig
 
@@ -238,7 +238,7 @@ def margin_table(tests: dict[str, Outcome]) -> Table:
         "other rigs": [name for name in tests if ": " in name],
     }
     rows = []
-    for interlock in TIMES:
+    for interlock in INTERLOCKS:
         shares = {name: outcome.utilisation[interlock] for name, outcome in tests.items()}
         nearest = max(shares, key=lambda name: shares[name])
         by_kind = (f"{max(shares[name] for name in names):.2f}" for names in kinds.values())

@@ -26,12 +26,12 @@ from laboratory import Laboratory
 from simulation import ONE_THREAD
 
 from abrace.report.table import Table
-from abrace_core.progress import Progress
+from abrace_core.files.progress import Progress
 from abrace_sysid.fitting.pole_estimate import NORMAL_95
 from abrace_sysid.identification import identify
 
 if TYPE_CHECKING:
-    from abrace_core.run import Run
+    from abrace_core.model.run import Run
     from abrace_plant.rig.model import Rig
 
 SEEDS = 24

@@ -21,15 +21,16 @@ from papers_simulation import papers_simulation
 
 from abrace.campaign.course import run_campaign
 from abrace.report.results import read_results
-from abrace.report.summary import worst_peak_rms_error
 from abrace.report.table import Table
 from abrace.report.writer import make_report
-from abrace_core.controller_file import load_controller
-from abrace_core.node import find_file
-from abrace_core.response import TABLE_1_EXPERIMENT
+from abrace_core.files.installed import find_file
+from abrace_core.model.controller_file import load_controller
+from abrace_core.model.response import TABLE_1_EXPERIMENT
 
 if TYPE_CHECKING:
-    from abrace.report.results import Comparison, Results
+    from collections.abc import Iterable
+
+    from abrace.report.results import ComparedTest, Results
 
 CONTROLLERS = ("lqg1", "lqg2", "lqg3", "lqg4", "lqg5")
 MOTIONS = ("el_centro", "noise", "record")
@@ -76,7 +77,7 @@ def _finding(found: dict[str, Any]) -> Table:
         for model, title in titles.items()
     )
     header = ("a finding, no claim: mean of 18 cells", "from the paper's simulation", "from its experiment")
-    return Table("The paper's simulation (docs/papers_simulation.md)", header, rows)
+    return Table("The paper's simulation (docs/measured.md)", header, rows)
 
 
 def _table(controllers: dict[str, Any]) -> Table:
@@ -136,9 +137,30 @@ def evaluate(found: Results) -> dict[str, Any]:
     return {
         "table1_error": float(np.mean(cells)),
         "table1_worst": float(np.max(cells)),
-        "force_to_command_rms": main.measured["f"].rms / main.measured["U"].rms,
+        "force_to_command_rms": _worst([main.measured["f"].rms]) / _worst([main.measured["U"].rms]),
         "controllers": {name: _controller(found, name) for name in CONTROLLERS},
     }
+
+
+def _worst_peak_rms_error(comparison: ComparedTest) -> float | None:
+    """Greatest relative error of a simulated peak or rms value in a `comparison`, of the channels that move.
+
+    None: some are not known.
+    """
+    simulated = comparison.simulated or {}
+    pairs = [
+        (getattr(simulated[name], key), getattr(comparison.measured[name], key))
+        for name in comparison.simulated_vs_measured
+        for key in ("peak", "rms")
+    ]
+    if not pairs or any(value is None for pair in pairs for value in pair):
+        return None
+    return max(abs(found / measured - 1) for found, measured in pairs)
+
+
+def _worst(values: Iterable[float | None]) -> float:
+    """The greatest; NaN if one of them is not known."""
+    return float(np.max(np.array(list(values), dtype=np.float64)))
 
 
 def _controller(found: Results, name: str) -> dict[str, Any]:
@@ -149,12 +171,12 @@ def _controller(found: Results, name: str) -> dict[str, Any]:
     margins = proof["margins"]
     return {
         "worst_correlation": min(_least_correlation(test) for test in tests.values()),
-        "peak_rms_error": max(test.peak_rms_error or 0.0 for test in tests.values()),
+        "peak_rms_error": _worst(test.peak_rms_error for test in tests.values()),
         "peak_rms_errors": {motion: test.peak_rms_error for motion, test in tests.items()},
-        "worst_peak_rms_error": max(worst_peak_rms_error(test) for test in tests.values()),
-        "peak_rms_error_24_states": max(test.other_models["superposed"].peak_rms_error for test in tests.values()),
-        "gain_margin_db": margins["gain"],
-        "phase_margin_deg": margins["phase"],
+        "worst_peak_rms_error": _worst(_worst_peak_rms_error(test) for test in tests.values()),
+        "peak_rms_error_24_states": _worst(test.other_models["superposed"].peak_rms_error for test in tests.values()),
+        "gain_margin_db": margins["gain_db"],
+        "phase_margin_deg": margins["phase_deg"],
         "delay_margin_ms": 1e3 * margins["delay"],
         "local_damping_kept": proof["least_damping_kept"],
         "reduction": _reduction(tests["el_centro"]),
@@ -166,15 +188,15 @@ def _controller(found: Results, name: str) -> dict[str, Any]:
     }
 
 
-def _least_correlation(test: Comparison) -> float:
+def _least_correlation(test: ComparedTest) -> float:
     return min(row.correlation for row in test.simulated_vs_measured.values())
 
 
-def _less(test: Comparison, row: str, key: str) -> float:
+def _less(test: ComparedTest, row: str, key: str) -> float:
     assert test.uncontrolled is not None
     return 1 - float(getattr(test.measured[row], key) / getattr(test.uncontrolled[row], key))
 
 
-def _reduction(test: Comparison) -> float:
+def _reduction(test: ComparedTest) -> float:
     """By how much the controller lowers the rms values of displacements and accelerations, mean of all floors."""
     return float(np.mean([_less(test, row, "rms") for row in RESPONSES]))

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A measured structure: two shakers at once, 28 accelerometers. `make verify MEASURED=path` of its .mat file.
+"""Measured structures: `make verify MEASURED=path ROBOT_ARM=path` of their .mat files.
+
+Two shakers at once and 28 accelerometers (DaISy 96-013), and a robot arm, a sweep of 1024 samples (DaISy).
 
 All methods get the first two thirds of the record and are judged by the last third, as variance accounted for:
 simulated from the inputs, the initial state fitted. Beside ours: a plain PO-MOESP (Verhaegen 1994; B, D and the initial
@@ -18,18 +20,16 @@ from claims import Claim
 from scipy import signal
 
 from abrace.report.table import Table
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel
-from abrace_sysid.data_identification import identify_data
-from abrace_sysid.free_prediction import variance_accounted_for
-from abrace_sysid.measured_data import read_data
+from abrace_core import AbraceError
+from abrace_core.model.linear_model import LinearModel
+from abrace_sysid.data_identification import identify_data, variance_accounted_for
+from abrace_sysid.recorded.test import Test
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from abrace_sysid.measured_data import MeasuredData
 
 SAMPLE_RATE = 1024.0
 INPUTS = tuple(f"flexible_structure_dat_{column}" for column in (1, 2))
@@ -41,16 +41,47 @@ MEAN, LEAST = 0.9985, 0.996
 """Asked of all outputs' variance accounted for."""
 
 
-def verify_measured(path: Path | None) -> tuple[dict[str, Any] | None, list[Claim], list[Table]]:
-    """Values for verify.json (None without the file), claims, and a table of every output."""
-    if path is None:
-        return None, [], []
-    data = read_data(path, INPUTS, OUTPUTS, SAMPLE_RATE)
+ROBOT_ARM = (0.0582, 0.1267)
+"""Frequencies of its poles [cycles a sample], by N4SID of order 4."""
+
+
+def verify_measured(
+    flexible: Path | None, robot_arm: Path | None
+) -> tuple[dict[str, Any] | None, list[Claim], list[Table]]:
+    """Values for verify.json (None without a file), claims, and a table of every output."""
+    values, claims, tables = of_flexible_structure(flexible) if flexible else ({}, [], [])
+    if robot_arm:
+        values["robot_arm"], more = of_robot_arm(robot_arm)
+        claims += more
+    return values or None, claims, tables
+
+
+def of_robot_arm(path: Path) -> tuple[dict[str, Any], list[Claim]]:
+    """The robot arm from its first two thirds, at the defaults, beside N4SID of order 4."""
+    data = Test.read(path, ("robot_arm_dat_1",), ("robot_arm_dat_2",), 1.0)
+    used = 2 * len(data.outputs) // 3
+    first, last = data.part(0, used), data.part(used, len(data.outputs))
+    found = identify_data(first)
+    share, peer = (
+        float(variance_accounted_for(one, found.in_time(last))[0]) for one in (found.model, n4sid(first, 4, 20))
+    )
+    hertz = np.array([pair.frequency for pair in found.pairs]) / (2 * np.pi)
+    error = max(float(np.abs(hertz / known - 1).min()) for known in ROBOT_ARM)
+    claims = [
+        Claim("robot arm: variance accounted for, last third", share, 0.998, f"N4SID {peer:.4f}", least=True),
+        Claim("robot arm: both pole pairs, frequency", error, 0.01, "-"),
+    ]
+    return {"variance_accounted_for": share, "n4sid": peer, "frequencies": hertz.tolist()}, claims
+
+
+def of_flexible_structure(path: Path) -> tuple[dict[str, Any], list[Claim], list[Table]]:
+    """The flexible structure from its first two thirds, beside its peers."""
+    data = Test.read(path, INPUTS, OUTPUTS, SAMPLE_RATE)
     data = replace(data, excitation=data.excitation - data.excitation.mean(axis=0))
     used = 2 * len(data.outputs) // 3
     first, last = data.part(0, used), data.part(used, len(data.outputs))
     found = identify_data(first)
-    shares = {"abrace": variance_accounted_for(found.model, last)}
+    shares = {"abrace": variance_accounted_for(found.model, found.in_time(last))}
     orders = {"abrace": f"{found.model.order} states"}
     notes = []
     for name, method in (("PO-MOESP", po_moesp), ("N4SID", n4sid)):
@@ -101,7 +132,7 @@ def verify_measured(path: Path | None) -> tuple[dict[str, Any] | None, list[Clai
     return values, claims, tables
 
 
-def po_moesp(data: MeasuredData, order: int, rows: int) -> LinearModel:
+def po_moesp(data: Test, order: int, rows: int) -> LinearModel:
     """Past outputs and inputs as instruments; A and C from the observability matrix, B and D by least squares."""
     u, y = data.excitation, data.outputs - data.outputs.mean(axis=0)
     columns = len(u) - 2 * rows + 1
@@ -120,7 +151,7 @@ def po_moesp(data: MeasuredData, order: int, rows: int) -> LinearModel:
     return with_inputs(data, a, c)
 
 
-def with_inputs(data: MeasuredData, a: NDArray[np.float64], c: NDArray[np.float64]) -> LinearModel:
+def with_inputs(data: Test, a: NDArray[np.float64], c: NDArray[np.float64]) -> LinearModel:
     """A discrete model with these A and C, B and D by least squares on the modal states, the initial state free."""
     u, y = data.excitation, data.outputs - data.outputs.mean(axis=0)
     values, vectors = np.linalg.eig(a)
@@ -152,7 +183,7 @@ def with_inputs(data: MeasuredData, a: NDArray[np.float64], c: NDArray[np.float6
     return replace(model, d=_direct(model, data))
 
 
-def _direct(model: LinearModel, data: MeasuredData) -> NDArray[np.float64]:
+def _direct(model: LinearModel, data: Test) -> NDArray[np.float64]:
     """D by least squares, the free response fitted with it."""
     u, y = data.excitation, data.outputs - data.outputs.mean(axis=0)
     state = np.zeros((len(u), model.order))
@@ -170,7 +201,7 @@ def _free(value: complex, samples: int) -> list[NDArray[np.float64]]:
     return [decay.real, decay.imag] if value.imag > 0 else [decay.real]
 
 
-def n4sid(data: MeasuredData, order: int, rows: int) -> LinearModel:
+def n4sid(data: Test, order: int, rows: int) -> LinearModel:
     """A and C by SLICOT's N4SID of all outputs, B and D by least squares."""
     import ctrlsys
 

@@ -9,7 +9,7 @@ The click is when it is given to the browser; the force is that of an excitation
 
 python benchmarks/operator_page.py [RUNS]
 python benchmarks/operator_page.py memory [SECONDS]
-python benchmarks/operator_page.py picture FILE.png
+python benchmarks/operator_page.py pictures FOLDER
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from isolation import isolated
 from running_graph import graph_of_its_own
 from safety_by_the_clock import Rig
 
-from abrace_core.controller_file import save_controller
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
+from abrace_core.model.controller_file import save_controller
 from abrace_core.safety.rig_safety import RAMP_TIME
 from abrace_interfaces.msg import Response
 
@@ -164,8 +164,8 @@ def memory(seconds: float) -> dict[str, Any]:
     return {"seconds": seconds, "first": first, "last": last, "growth": growth}
 
 
-def picture(path: Path) -> None:
-    """The page in El Centro with LQG3, as PNG; in lockstep, which a busy machine does not disturb."""
+def pictures(folder: Path) -> None:
+    """The page in El Centro with LQG3, stopped, and without its server; in lockstep, as the machine may be busy."""
     with graph_of_its_own("/rig") as graph, DrivenBrowser() as browser:
         save_controller(lqg3(), graph.folder / "lqg3.yaml")
         graph.start("logger", output="bags/el_centro", topics=["response", "brace_command", "ground_motion"])
@@ -174,9 +174,16 @@ def picture(path: Path) -> None:
         graph.start("controller", "--params-file", graph.folder / "lqg3.yaml")
         graph.start("ground_motion", record="el_centro", peak_acceleration=0.98)
         graph.start("plant", lockstep=True, wait_for=["brace_command", "ground_motion"])
+        graph.play("ground_motion")
         graph.until(lambda: float(graph.values("ground_motion").get("elapsed", "0")) > 15, "15 s of El Centro")
         tab.until("document.querySelectorAll('#latency td').length > 0")
-        tab.screenshot(path)
+        tab.screenshot(folder / "operator.png")
+        tab.mouse("mousePressed", *tab.middle("#stop"))
+        tab.until_shown("#state", "protective stop")
+        tab.screenshot(folder / "operator_stopped.png")
+        graph.stop("operator")
+        tab.until_shown("#state", "no connection")
+        tab.screenshot(folder / "operator_no_connection.png")
 
 
 def verify_operator() -> tuple[dict[str, Any], list[Claim]]:
@@ -197,7 +204,7 @@ if __name__ == "__main__":
         match sys.argv[1:]:
             case ["memory", *given]:
                 print(json.dumps(memory(float(given[0]) if given else HOUR), indent=1))
-            case ["picture", file]:
-                picture(here / file)
+            case ["pictures", file]:
+                pictures(here / file)
             case given:
                 print(json.dumps(stops(int(given[0]) if given else RUNS), indent=1))

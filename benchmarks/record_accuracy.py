@@ -10,9 +10,8 @@ import numpy as np
 from claims import Claim
 
 from abrace_plant.records.files import read_record
-from abrace_plant.records.intensity import STANDARD_GRAVITY, intensity
+from abrace_plant.records.measures import STANDARD_GRAVITY, intensity, response_spectrum
 from abrace_plant.records.record import Record
-from abrace_plant.records.response_spectrum import response_spectrum
 from abrace_plant.records.treatment import prepare
 
 

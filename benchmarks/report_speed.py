@@ -13,7 +13,7 @@ from browser import CHROMIUM
 from driven_browser import DrivenBrowser
 
 from abrace.campaign.course import run_campaign
-from abrace_core.node import find_file
+from abrace_core.files.installed import find_file
 
 DEMO = Path("results/demo")
 WHOLE = ("origin.json", "timing.json", "comparison/comparison.json")

@@ -23,9 +23,10 @@ from lifecycle_msgs.srv import GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from safety_cases import RAMP, RATE, worst_step
+from std_srvs.srv import Trigger
 from udp_target import device_file
 
-from abrace_core.controller_file import save_controller
+from abrace_core.model.controller_file import save_controller
 from abrace_interfaces.msg import BraceCommand, Response
 
 if TYPE_CHECKING:
@@ -95,6 +96,8 @@ class Rig:
         if commander == "controller":
             graph.until_matched("ground_motion", response=1, ground_motion=1)
             assert graph.change_state("ground_motion", "activate")
+        self.played = "ground_motion" if commander == "controller" else commander
+        """The node whose signal plays."""
 
     def start_rig(self) -> None:
         """Start the node that takes the samples, and its device."""
@@ -148,15 +151,17 @@ class Rig:
                 self.clear()
             graph.until(lambda: self.last.state in (Response.RUNNING, Response.LATCHED), "the rig to run")
         assert self.last.state == Response.RUNNING, graph.reported()
+        answer = graph.call(Trigger, f"{self.played}/play", Trigger.Request())
+        assert answer.success or answer.message.endswith("a signal is playing"), answer.message
         del self.responses[:-1], self.commands[:-1]
 
     def clear(self) -> None:
-        """Clear all faults, and have the signal begin anew."""
+        """Clear all faults."""
         graph = self.graph
         graph.until(lambda: self.last.state == Response.LATCHED, "all to be at rest")
-        # after many stops the table is far from the middle, or at its limit: a person moves it, docs/interlocks.md
+        # after many stops the table is far from the middle, or at its limit: a person moves it, docs/rig.md
         share = graph.values(self.name).get("interlock table_displacement", "0 % of its limit").partition(" %")[0]
-        far = float(share) > TABLE_FAR or "displacement of the table" in self.last.cause
+        far = float(share) > TABLE_FAR or "interlocks.table_displacement" in self.last.cause
         if far:
             self.take(self.name, "deactivate", "cleanup")
             if self.name == "sensor_bridge":
@@ -170,8 +175,6 @@ class Rig:
         if self.commander == "controller":
             # where the stop left the table there may be no room for the record: a person moves it to the middle
             self.take("ground_motion", "deactivate", "cleanup", "configure", "activate")
-        else:
-            self.take(self.commander, "deactivate", "activate")
         graph.until(lambda: self.last.state != Response.LATCHED, "the rig to act again")
 
     def take(self, name: str, *transitions: str) -> None:

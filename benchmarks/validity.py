@@ -2,7 +2,8 @@
 """Simulated faults: how often validity names them, and how often it names one on the linear rig.
 
 Every fault is simulated in tests of 120 s each on the table and with the command, 20 seeds; what varies from seed to
-seed (storey, channel, unit) goes through a list. The limits of the checks were set on other seeds (docs/validity.md).
+seed (storey, channel, unit) goes through a list. The limits of the checks (docs/identification.md)
+were set on other seeds.
 """
 
 from __future__ import annotations
@@ -21,20 +22,20 @@ from laboratory import Laboratory
 from simulation import ONE_THREAD
 
 from abrace.report.table import Table
-from abrace_core import signals
-from abrace_core.errors import AbraceError
-from abrace_core.node import find_file
-from abrace_core.progress import Progress
+from abrace_core import AbraceError
+from abrace_core.files.installed import find_file
+from abrace_core.files.progress import Progress
+from abrace_core.model import signals
 from abrace_plant.rig import published
 from abrace_plant.rig.file import load_rig
 from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.identification import identify
-from abrace_sysid.validity.judgement import judge
+from abrace_sysid.validity.judgement import judge, judge_failure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from abrace_core.run import Run
+    from abrace_core.model.run import Run
     from abrace_plant.rig.model import Rig
     from abrace_sysid.validity.finding import Validity
 
@@ -119,7 +120,7 @@ def planted(fault: str, seed: int) -> tuple[list[Run], IdentificationOptions]:
         return both_tests(replace(rig, braces=(slow,)), seed), options
     tests = both_tests(rig, seed)
     if fault == "mode missed":
-        return tests, replace(options, command_order=8 + 2 * (seed % 2))
+        return tests, options.model_copy(update={"command_order": 8 + 2 * (seed % 2)})
     wrong = {
         "swapped sensors": swapped,
         "dead channel": dead,
@@ -207,8 +208,10 @@ def judged(fault: str, seed: int) -> tuple[str, int, Validity]:
     try:
         found = identify(table, command, options)
     except AbraceError as error:
-        return fault, seed, judge([table], [command], options, None, str(error)).validity
-    return fault, seed, judge([table], [command], options, found).validity
+        failed = judge_failure(table, command, options, error)
+        assert failed is not None
+        return fault, seed, failed.validity
+    return fault, seed, judge(found).validity
 
 
 def verify_validity(
@@ -232,10 +235,15 @@ def verify_validity(
         named[fault] = float(np.mean(right))
         verdicts[fault] = Counter(validity.verdict.words for validity in said)
         others[fault] = Counter(cause for validity in said for cause in validity.causes if cause != name)
+    words = {
+        fault: ", ".join(f"{said} {count}" for said, count in sorted(counted.items()))
+        for fault, counted in verdicts.items()
+    }
     values: dict[str, Any] = {
         "named": min(share for fault, share in named.items() if NAMES[fault]),
         "false_alarms": 1 - named["linear"],
         "named_by_fault": {fault: share for fault, share in named.items() if NAMES[fault]},
+        "verdicts": words,
     }
     claims = [
         Claim(f"each planted fault named, {len(seeds)} seeds", values["named"], 0.95, "-", least=True),
@@ -245,7 +253,7 @@ def verify_validity(
         (
             fault,
             f"{100 * named[fault]:.0f}" if NAMES[fault] else "-",
-            ", ".join(f"{words} {count}" for words, count in sorted(verdicts[fault].items())),
+            words[fault],
             ", ".join(f"{cause} {count}" for cause, count in others[fault].most_common()) or "-",
         )
         for fault in NAMES

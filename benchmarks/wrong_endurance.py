@@ -19,6 +19,7 @@ at_device                   greatest command at the emulator before it limits th
                             that the rig has; greatest step from tick to tick, of force over the rate limit, of the
                             table over its limit of jerk: 1 is allowed
 died                        nodes; the measurement ends where one does
+deaf                        nodes that do not answer a request of their parameters afterwards
 
 python benchmarks/wrong_endurance.py [MESSAGES]    # on each topic and service
 """
@@ -45,6 +46,7 @@ from isolation import isolated
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from operator_page import page_address
+from rcl_interfaces.srv import ListParameters
 from running_graph import STREAMING, TRANSITIONS, graph_of_its_own
 from safety_by_the_clock import TARGET_PRIORITY
 from std_srvs.srv import Trigger
@@ -53,9 +55,9 @@ from tornado.websocket import websocket_connect
 from udp_target import CONFIG, device_file
 from wrong_messages import WrongMessages
 
-from abrace_core.controller_file import save_controller
-from abrace_core.progress import Progress
-from abrace_core.run import Run
+from abrace_core.files.progress import Progress
+from abrace_core.model.controller_file import save_controller
+from abrace_core.model.run import Run
 from abrace_core.safety.rig_safety import ACTING
 from abrace_interfaces.msg import Response
 from abrace_plant.rig.file import load_rig
@@ -66,7 +68,7 @@ if TYPE_CHECKING:
     from running_graph import Graph
 
 SAMPLE_RATE = 500.0
-CAPACITY, RATE_LIMIT = 24516.625, 5.0e6
+CAPACITY, RATE_LIMIT = 24516.625, 2.5e6
 RATE_STEP = RATE_LIMIT / SAMPLE_RATE
 MESSAGES = 10_000
 MOST_ANSWERS = 1000
@@ -77,19 +79,22 @@ OFFLINE = {
     "check_sensors",
     "design",
     "emulator",
-    "explore",
     "identify",
+    "identify_data",
     "record",
     "recover",
-    "robot_description",
     "validate",
 }
 """Programs that subscribe to nothing and offer no service."""
+ANSWER = 10.0
+"""Seconds within which a node answers on a busy machine."""
 LONG = 1e5
 """Seconds that no measurement lasts."""
+REPLAYED_SAMPLES = 60_000
+"""In the bag that is replayed: some 100 minutes, as slowly as it is."""
 REPLAYED = ("/replayed/", "/stepped/")
 """Beginnings of the topics of the replay by the clock, and of that in lockstep."""
-AT_ITS_END = "displacement of the table"
+AT_ITS_END = "interlocks.table_displacement"
 """Cause of the fault of a table that a person has to move to the middle."""
 
 
@@ -143,8 +148,8 @@ class Driven:
         rig.write_text(re.sub(r"(?m)^sample_rate: \S+", f"sample_rate: {sample_rate}", text), encoding="utf-8")
         self.bridge = Bridge(graph, rig) if name == "sensor_bridge" else None
         graph.start(name, rig=str(rig), **({"device": str(self.bridge.file)} if self.bridge else {}))
-        played: dict[str, Any] = {"duration": 3600.0, "sample_rate": sample_rate}
-        graph.start("excitation", rms=3000.0, **played)
+        played: dict[str, Any] = {"duration": 3600.0}
+        graph.start("excitation", rms=3000.0, sample_rate=sample_rate, **played)
         graph.start("ground_motion", rig=str(rig), record="white_noise", rms=0.1, band=[0.3, 10.0], **played)
 
     def acts(self) -> bool:
@@ -169,11 +174,13 @@ class Driven:
         """Clear what there is, and play the signals again if they are over."""
         self.clear()
         if self.wrong.rig.state in ACTING and not any(self.wrong.rig.command):
-            self.take("excitation", "deactivate", "activate")
             self.take("ground_motion", "deactivate", "cleanup", "configure", "activate")  # its action's calls are lost
+            self.take("excitation", "activate")
+            for name in ("excitation", "ground_motion"):
+                self.wrong.call(Trigger, f"{name}/play", Trigger.Request())
 
     def move_table(self) -> None:
-        """Move the table to the middle, as docs/interlocks.md says."""
+        """Move the table to the middle, as docs/rig.md says."""
         self.take(self.name, "deactivate", "cleanup")
         if self.bridge:
             self.bridge.start_again()
@@ -202,13 +209,12 @@ def start_others(graph: Graph, wrong: WrongMessages, sample_rate: float) -> None
     unheard = ("-r", "response:=spare/response", "-r", "brace_command:=spare/brace_command")
     graph.start("excitation", *unheard, name="spare", autostart=False, sample_rate=sample_rate)
     graph.start("supervisor", inputs=["brace_command=spare"], plant=False, patience=LONG)
-    graph.start("jitter", duration=LONG, patience=LONG)
     graph.start("operator", port=0)
-    graph.start("viewer", port=0, page_port=0, response=f"{graph.namespace}/response", operate=True)
-    nothing, count = np.zeros((100, 8)), np.arange(100, dtype=np.uint64)
+    graph.start("viewer", port=0)
+    nothing, count = np.zeros((REPLAYED_SAMPLES, 8)), np.arange(REPLAYED_SAMPLES, dtype=np.uint64)
     at_rest = Run("at rest", 0.002, count, 3, 1, nothing, nothing[:, 0], nothing[:, :1], braces=(1,))
     write_bag(at_rest, folder / "replayed")
-    slow: dict[str, Any] = {"bag": str(folder / "replayed"), "loop": True, "rate": 0.02}
+    slow: dict[str, Any] = {"bag": str(folder / "replayed"), "rate": 0.02}
     graph.start("replay", "-r", f"/response:={REPLAYED[0]}response", **slow)
     lockstep = {"lockstep": True, "lockstep_timeout": LONG}
     graph.start("replay", "-r", f"/response:={REPLAYED[1]}response", name="stepping", **slow, **lockstep)
@@ -219,32 +225,35 @@ def start_others(graph: Graph, wrong: WrongMessages, sample_rate: float) -> None
 def open_pages(graph: Graph, wrong: WrongMessages) -> None:
     """A client of the viewer and a page of the operator, in a process of their own."""
     (line,) = graph.until(lambda: [one for one in graph.output_of("viewer") if "ws://" in one], "the viewer")
-    port, token = re.search(r":(\d+)/\?token=(.*)", line.rpartition("ws://")[2]).groups()  # type: ignore[union-attr]
-    command = [sys.executable, __file__, "watch", port, token, page_address(graph)]
+    command = [sys.executable, __file__, "watch", line.rpartition(":")[2], page_address(graph)]
     graph.started["watcher"] = graph.processes.start("watcher", command, graph.folder / "watcher.log")
-    graph.until(lambda: int(graph.values("viewer").get("samples", 0)), "the viewer to show samples")
+    graph.until(lambda: int(graph.values("viewer").get("topics", 0)), "the viewer to offer topics")
     graph.until(lambda: graph.values("operator").get("pages") == "1", "the page")
     subscribed = f"{graph.namespace}/robot_description"
     wrong.until(lambda: wrong.node.count_subscribers(subscribed), "the viewer to show every topic")
 
 
-def watch(port: str, token: str, page: str) -> None:
+def watch(port: str, page: str) -> None:
     """Show every topic in the viewer but those that are replayed, and keep the operator's page open.
 
     A replay ends where somebody else publishes its samples, as we do on every topic with a subscriber.
     """
 
     async def keep_open() -> None:
-        headers = {"Origin": page.rstrip("/")}
-        live = await websocket_connect(HTTPRequest(page.replace("http", "ws") + "live", headers=headers))
-        await live.write_message('{"token": ""}')
-        while (message := await live.read_message()) is not None:
+        address, headers = page.replace("http", "ws") + "live", {"Origin": page.rstrip("/")}
+        message = None
+        while message is None:  # a busy machine may need longer for the token than the server waits
+            live = await websocket_connect(HTTPRequest(address, headers=headers, connect_timeout=0, request_timeout=0))
+            await live.write_message('{"token": ""}')
+            message = await live.read_message()
+        while message is not None:
             content = json.loads(message)
             if "number" in content:
                 await live.write_message(json.dumps({"got": content["number"]}))
+            message = await live.read_message()
 
     threading.Thread(target=lambda: asyncio.run(keep_open()), daemon=True).start()
-    with FoxgloveClient(int(port), token) as client:
+    with FoxgloveClient(int(port)) as client:
         shown: set[str] = set()
         while True:
             time.sleep(0.2)
@@ -253,6 +262,15 @@ def watch(port: str, token: str, page: str) -> None:
             shown |= new
             for topic in shown:
                 client.messages[topic].clear()
+
+
+def answers(graph: Graph, name: str) -> bool:
+    """Whether a node still answers."""
+    answer = graph.ask(ListParameters, f"{name}/list_parameters", ListParameters.Request())
+    end = time.monotonic() + ANSWER
+    while not answer.done() and time.monotonic() < end:
+        graph.executor.spin_once(timeout_sec=0.02)
+    return answer.done()
 
 
 def wrong_endurance(
@@ -284,6 +302,7 @@ def wrong_endurance(
             wrong.ask(lambda name: name not in STREAMING, messages, lambda: None, step.update)
         if rig == "sensor_bridge":
             graph.until(lambda: graph.values("operator").get("pages") == "1", "the page, which must still be open")
+        deaf = sum(not answers(graph, name) for name in reporting - set(STREAMING))
         for name in graph.started.keys() - set(STREAMING):
             died += graph.stop(name) != 0 and name != "watcher"
             del graph.started[name]
@@ -296,6 +315,7 @@ def wrong_endurance(
             wrong.ask(lambda name: name in wanted, messages, driven.go_on, step.update)
         # each of them still does what it is for
         graph.until(driven.acts, "the rig to act")
+        deaf += sum(not answers(graph, name) for name in reporting & set(STREAMING))
         found: dict[str, Any] = {
             "programs": sorted(graph.executables),
             "nodes": sorted(reporting),
@@ -309,6 +329,7 @@ def wrong_endurance(
             "greatest_force": wrong.greatest,
             "worst_step": wrong.worst_step,
             "worst_between": wrong.worst_between,
+            "deaf": deaf,
             "died": died + sum(process.returncode is not None for process in graph.started.values()),
         }
         if driven.bridge:
@@ -333,7 +354,7 @@ def measure(messages: int = MESSAGES) -> dict[str, Any]:
         "messages": sum(sum(one[name].values()) for one in both for name in ("topics", "services")),
         **{
             name: sum(one[name] for one in both)
-            for name in ("repeated", "samples", "acting", "faults", "not_finite", "died")
+            for name in ("repeated", "samples", "acting", "faults", "not_finite", "died", "deaf")
         },
         "greatest_force": max(one["greatest_force"] for one in both),
         **{name: worst[name] for name in ("worst_step", "worst_between")},

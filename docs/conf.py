@@ -1,11 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sphinx: the pages of this folder, and the reference of the Python packages made from their docstrings."""
+"""Sphinx: the pages of this folder, and a reference of what users call, made from docstrings."""
 
 from __future__ import annotations
 
+import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import abrace_plant.devices.card  # noqa: F401 - before autodoc changes the annotations that pydantic reads
+
+sys.path.insert(0, str(Path(__file__).parent))
+import run_notebook
+import write_measured
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -14,35 +21,29 @@ project = "abrace"
 author = "the abrace developers"
 copyright = "the abrace developers"  # noqa: A001 - Sphinx's name
 version = release = installed_version("abrace_core")
-
 extensions = [
     "myst_parser",  # pages in Markdown
     "sphinx.ext.autodoc",
-    "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",  # docstrings as NumPy writes them
     "sphinx_copybutton",
 ]
 exclude_patterns = ["site"]  # what is built
-templates_path = ["_templates"]
 myst_heading_anchors = 4
-myst_enable_extensions = ["deflist", "dollarmath", "tasklist"]
-autosummary_generate = True
+myst_enable_extensions = ["deflist", "dollarmath", "substitution", "tasklist"]
+myst_substitutions = write_measured.numbers()  # {{ name }}
 autodoc_mock_imports = ["launch", "launch_ros"]  # only where ROS 2 itself is installed
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 default_role = "code"
 napoleon_google_docstring = False
 napoleon_attr_annotations = False
+man_pages = [("commands", "abrace", "tests of an actively braced building on ROS 2", ["abrace developers"], 1)]
 html_theme = "furo"
 html_title = f"abrace {release}"
+html_static_path = ["static"]
+html_css_files = ["wide.css"]
+html_search_scorer = str(Path(__file__).parent / "static/scorer.js")
 suppress_warnings = ["ref.python"]  # names that several modules have
-nitpicky = True
-nitpick_ignore_regex = [
-    ("py:class", r"(?!abrace).*"),  # types of other packages, and short names in signatures: they have no page here
-    ("py:class", r"abrace[\w.]*\._\w+"),  # private ones
-    ("py:class", r"abrace_interfaces\..*"),  # generated from the messages (topics.md)
-    ("py:class", r"abrace_bags\.mcap\.records\.Record"),  # a type variable
-]
 
 
 COLON = "\ue000"
@@ -61,16 +62,14 @@ def _as_written(app: Sphinx, what: str, name: str, given: Any, options: Any, lin
     lines[:] = [line.replace("|", r"\|").replace("**", r"\*\*").replace(COLON, ":") for line in lines]
 
 
-def _remove_old_pages(app: Sphinx) -> None:
-    """Remove the generated pages of modules that have been moved or removed."""
-    for page in (Path(app.srcdir) / "packages").glob("*.rst"):
-        module = Path(app.srcdir).parent / "src" / page.stem.partition(".")[0] / page.stem.replace(".", "/")
-        if not module.is_dir() and not module.with_suffix(".py").exists():
-            page.unlink()
+def _notebook(app: Sphinx, name: str, source: list[str]) -> None:  # noqa: ARG001
+    """The notebook in the place of its page."""
+    if name == "notebook":
+        source[0] = run_notebook.page(Path(__file__).parents[1] / "examples/4_notebook/from_bag_to_controller.ipynb")
 
 
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
-    app.connect("builder-inited", _remove_old_pages, priority=100)
+    app.connect("source-read", _notebook)
     app.connect("autodoc-process-docstring", _no_type, priority=100)
     app.connect("autodoc-process-docstring", _as_written)

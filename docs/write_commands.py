@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import argparse
 import re
-from pathlib import Path
+from collections import Counter
 from typing import TYPE_CHECKING
+
+import pages
 
 from abrace import cli
 from abrace_bringup import graphs
-from abrace_core.files import write_text
+from abrace_core.files.command_line import OneLineParser
 from abrace_plant.nodes import emulator
 
 if TYPE_CHECKING:
@@ -18,14 +20,17 @@ if TYPE_CHECKING:
 
     from abrace_bringup.arguments import Argument
 
-ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs/commands.md"
-LAUNCH_FILES = {"closed_loop": graphs.CLOSED_LOOP, "identification": graphs.IDENTIFICATION}
+LAUNCH_FILES = {graph.name: graph.arguments for graph in graphs.GRAPHS.values()}
+
+EXAMPLES = 4
+"""Lines of a command's examples that are shown; `--help` has all."""
+SEVERAL = 4
+"""Options of a command that are listed in its form; more are in its table alone."""
 
 INTRODUCTION = f"""# Commands
 
-Written by `python docs/write_commands.py` from the commands' parsers; `--help` after a command prints the same.
-Nodes and their parameters: [nodes](nodes.md).
+`--help` after a command prints the same, and more examples. Nodes and their parameters: [nodes](nodes.md). *Made from
+the commands' parsers by `docs/write_commands.py`.*
 
 | exit code | of every command and node |
 |---|---|
@@ -38,6 +43,8 @@ Nodes and their parameters: [nodes](nodes.md).
 
 def commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
     """A parser and those of its subcommands, at any depth, that take arguments of their own."""
+    if isinstance(parser, OneLineParser):
+        parser.add_late()
     inner = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
     if not inner:
         yield parser
@@ -57,14 +64,15 @@ def helps(parser: argparse.ArgumentParser) -> dict[str, str]:
     return found
 
 
-def arguments(parser: argparse.ArgumentParser) -> str:
-    """The table of what a command takes; empty: nothing."""
-    rows = [
-        f"| `{_form(action)}` | {_text(action)} |"
-        for action in parser._actions
-        if not isinstance(action, argparse._HelpAction | argparse._SubParsersAction)
-    ]
-    return "\n".join(["| argument | what it is |", "|---|---|", *rows, ""]) if rows else ""
+def taken(parser: argparse.ArgumentParser) -> list[tuple[str, str]]:
+    """What a command takes: each argument, and what it is."""
+    hidden = argparse._HelpAction | argparse._SubParsersAction
+    return [(f"`{_form(action)}`", _text(action)) for action in parser._actions if not isinstance(action, hidden)]
+
+
+def table(rows: Sequence[tuple[str, str]]) -> str:
+    """The table of arguments; empty: nothing."""
+    return pages.table(["argument", "what it is"], rows) if rows else ""
 
 
 def _form(action: argparse.Action) -> str:
@@ -83,45 +91,61 @@ def _text(action: argparse.Action) -> str:
     return "; ".join([action.help or "", *notes])
 
 
-def section(parser: argparse.ArgumentParser, about: str) -> str:
-    """A command: what it does, its form, what it takes."""
-    usage = " ".join(parser.format_usage().removeprefix("usage: ").split())
-    example = (parser.epilog or "").removeprefix("example: ")
+def section(parser: argparse.ArgumentParser, about: str, shared: Sequence[tuple[str, str]] = ()) -> str:
+    """A command: what it does, its form, what it takes beyond what is `shared`."""
+    options = [action for action in parser._actions if action.option_strings]
+    if len(options) > SEVERAL:
+        given = [_form(action) for action in parser._actions if not action.option_strings]
+        usage = f"{parser.prog} [OPTION ...] {' '.join(given)}".strip()
+    else:
+        usage = " ".join(parser.format_usage().removeprefix("usage: ").split()).replace(" [-h]", "")
+    example = "\n".join((parser.epilog or "").removeprefix("example: ").splitlines()[:EXAMPLES])
     shown = f"{usage}\n\n{example}".strip()
-    return f"### {parser.prog}\n\n{about[:1].upper()}{about[1:]}.\n\n```text\n{shown}\n```\n\n{arguments(parser)}"
+    own = table([row for row in taken(parser) if row not in shared])
+    return f"### {parser.prog}\n\n{about[:1].upper()}{about[1:]}.\n\n```text\n{shown}\n```\n\n{own}"
 
 
-def launch_section(name: str, table: Sequence[Argument]) -> str:
-    """A launch file and its arguments."""
-    rows = [
-        f"| `{each.name}` | {f'`{each.default}`' if each.default else 'empty'} | {each.description} |" for each in table
-    ]
-    head = f"### {name}\n\n`abrace run abrace_bringup {name} NAME:=VALUE ...`, or with ROS 2 installed\n"
-    command = f"`ros2 launch abrace_bringup {name}.launch.py NAME:=VALUE ...`\n"
-    return "\n".join([head + command, "| argument | default | what it is |", "|---|---|---|", *rows, ""])
+def launch_section(name: str, table: Sequence[Argument], before: str = "") -> str:
+    """A launch file and its arguments; those of the one `before` it are named alone."""
+    described = [_argument_row(each) for each in LAUNCH_FILES[before]] if before else []
+    rows = [_argument_row(each) for each in table]
+    common = ", ".join(row[0] for row in rows if row in described)
+    rest = pages.paragraph(f"As [{before}](#{before}) it has {common}.") if common else ""
+    shown = pages.table(["argument", "default", "what it is"], [row for row in rows if row not in described])
+    return f"### {name}\n\n    abrace run abrace_bringup {name} NAME:=VALUE ...\n\n{shown}\n{rest}"
+
+
+def _argument_row(argument: Argument) -> tuple[str, str, str]:
+    return f"`{argument.name}`", f"`{argument.default}`" if argument.default else "", argument.description
 
 
 def make_section() -> str:
     """What `make` does."""
-    found = re.findall(r"^([a-z-]+):.*## (.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
-    rows = [f"| `make {name}` | {text} |" for name, text in found]
-    return "\n".join(["## make\n", "| command | what it does |", "|---|---|", *rows, ""])
+    found = re.findall(r"^([a-z-]+):.*## (.*)$", (pages.ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    rows = [(f"`make {name}`", text) for name, text in found]
+    return "\n".join(["## make\n", pages.table(["command", "what it does"], rows)])
 
 
 def page() -> str:
     """The whole page."""
     main = cli.parser()
     about = helps(main)
-    ours = [arguments(main), *(section(each, about[each.prog]) for each in commands(main))]
+    counted = Counter(row for each in commands(main) for row in taken(each))
+    shared = [row for row, times in counted.items() if times > 1]
+    ours = [table(taken(main)), "Arguments of several commands:\n", table(shared)]
+    ours += [section(each, about[each.prog], shared) for each in commands(main)]
     target = section(
         emulator.arguments(),
         "A rig behind a device file: `abrace run abrace_plant emulator` ([emulator](bridge.md#the-emulator))",
     )
-    launches = [launch_section(name, table) for name, table in LAUNCH_FILES.items()]
-    of_launch = "## Launch files\n\nWhat ends a launch, a real rig, further parameters: [launch files](launch.md).\n"
+    launches, before = [], ""
+    for name, described in LAUNCH_FILES.items():
+        launches.append(launch_section(name, described, before))
+        before = name
+    of_launch = "## Launch files\n\nWith ROS 2 installed also `ros2 launch abrace_bringup NAME.launch.py ...`.\n"
     parts = [INTRODUCTION, "## abrace\n", *ours, "## Programs without ROS\n", target, of_launch, *launches]
     return "\n".join([*parts, make_section()])
 
 
 if __name__ == "__main__":
-    write_text(PAGE, page())
+    pages.write(__file__, page)

@@ -3,48 +3,42 @@
 
 from __future__ import annotations
 
-import textwrap
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import pages
+import pydantic
 import yaml
 
-from abrace.benchmark.definition import Definition, RigDefinition
-from abrace.campaign import done, file
-from abrace.report import results
-from abrace_core.config_file import Checked
-from abrace_core.controller_file import _File as ControllerFile
-from abrace_core.errors import AbraceError
-from abrace_core.files import write_text
+from abrace.campaign import file
+from abrace_core import AbraceError
+from abrace_core.model.linear_model import _File as ModelFile
 from abrace_lqg.weights import Weights
 from abrace_plant.devices.calibration import CalibrationFile
 from abrace_plant.devices.layout import Layout
-from abrace_plant.devices.modbus import ModbusFile
-from abrace_plant.devices.registers import RegisterMap
 from abrace_plant.devices.udp import UdpFile
-from abrace_plant.frames.file import _File as FrameFile
 from abrace_plant.rig.file import _Rig
+from abrace_studies.benchmark.definition import Definition, RigDefinition
+from abrace_studies.frames.file import _File as FrameFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-PAGE = Path(__file__).parent / "files.md"
-MEANINGS = Path(__file__).parent / "key_meanings.yaml"
+MEANINGS = pages.DOCS / "key_meanings.yaml"
 UNBOUNDED = 1e15
 """Bounds as large as this only keep numbers finite."""
 
 INTRODUCTION = """# Files, key by key
 
-Written by `python docs/write_files.py` from the schemas that check the files, with the meanings of the keys from
-`docs/key_meanings.yaml`. A file that people write is YAML. An
-unknown key, a value of another type or one out of its range is refused, in one line that names the file, the key, the
-value and what was expected.
+A file that people write is YAML. An unknown key, a value of another type or one out of its range is refused, in one
+line that names the file, the key, the value and what was expected.
 
-`a.b` is the key `b` in `a`. `a[].b` is `b` of each entry of the list `a`. In `a.*.b` the star is one of the names in
-the line `a.*`, or a name that you choose. A key without a default is required; one with the default "none" may be
-left out. Units are those of the SI unless the meaning gives another. More on the keys is on the page that is linked
-above each table.
+`a.b` is the key `b` in `a`, `a[].b` is `b` of each entry of the list `a`. In `a.*.b` the star is one of the names in
+the line `a.*`, or a name that you choose. A key without a default is required; one with the default "none" may be left
+out. Numbers are in SI units unless the meaning gives another; a *quantity* is a number that may carry its own unit
+([units](rig.md#units)).
+
+*Made from the schemas that check the files by `docs/write_files.py`.*
 """
 
 
@@ -52,7 +46,7 @@ class Described(NamedTuple):
     """A file: its heading, the schemas of its keys by their place in it, and what it is."""
 
     title: str
-    schemas: Mapping[str, type[Checked]]
+    schemas: Mapping[str, type]
     about: str
 
 
@@ -61,30 +55,27 @@ WRITTEN_BY_PEOPLE = (
     Described(
         "Campaign file",
         {"": file._Campaign, "steps[].": file._Step},
-        "The steps of a test day: [campaigns](campaigns.md). `matrix` with `steps` may take the place of a step: these "
-        "are made for every combination of its values.",
+        "The steps of a test day: [campaigns](campaigns.md).",
     ),
-    Described("Weights file", {"": Weights}, "What an LQG design weighs and measures: [controllers](lqg.md#design)."),
-    Described(
-        "Frame file", {"": FrameFile}, "A building of plane frames: [benchmarks](benchmarks.md#frames-of-your-own)."
-    ),
+    Described("Weights file", {"": Weights}, "What an LQG design weighs and measures: [choose weights](weights.md)."),
+    Described("Frame file", {"": FrameFile}, "A building of plane frames: [compare controllers](compare.md)."),
     Described(
         "Benchmark file of a frame",
         {"": Definition},
-        "Devices, sensors, earthquakes on a frame file's building: [benchmarks](benchmarks.md#benchmarks-of-your-own).",
+        "Devices, sensors, earthquakes on a frame file's building: [benchmarks](compare.md).",
     ),
     Described(
         "Benchmark file of a rig",
         {"": RigDefinition},
-        "Earthquakes and reference controllers on a rig: [benchmarks](benchmarks.md#benchmarks-of-your-own).",
+        "Earthquakes and reference controllers on a rig: [benchmarks](compare.md).",
     ),
     Described(
         "Device file, kind udp", {"": UdpFile}, "A target that sends and takes UDP packets: [real hardware](bridge.md)."
     ),
-    Described("Device file, kind modbus", {"": ModbusFile}, "A Modbus-TCP device: [real hardware](bridge.md)."),
-    Described("Layout file", {"": Layout}, "The packets of a `udp` device: [real hardware](bridge.md#packets)."),
     Described(
-        "Register map", {"": RegisterMap}, "The registers of a `modbus` device: [real hardware](bridge.md#labjacks-t7)."
+        "Layout file",
+        {"": Layout},
+        "The packets of a `udp` device: [real hardware](bridge.md#packets-of-another-target).",
     ),
     Described(
         "Calibration file",
@@ -93,37 +84,28 @@ WRITTEN_BY_PEOPLE = (
         "signal's name: x1, xf, a1, fa, w; for commands U and w.",
     ),
 )
-WRITTEN_BY_ABRACE = (
-    Described(
-        "Controller file",
-        {"": ControllerFile},
-        "What `design` writes and the node `controller` takes, a ROS parameter file: [controllers](lqg.md).",
-    ),
-    Described(
-        "steps.json",
-        {"": done._File},
-        "In a campaign's results: which steps are complete, with checksums of their inputs and outputs.",
-    ),
-    *(
-        Described(f"Results: {title}", {"": schema}, "What the report reads of a step's results ([report](report.md)).")
-        for title, schema in vars(results).items()
-        if isinstance(schema, type) and issubclass(schema, Checked) and schema.__module__ == results.__name__
-    ),
+MODEL_FILE = Described(
+    "Model file", {"": ModelFile}, "Written by `identify` (JSON): [identification](identification.md)."
 )
+CONTROLLER_FILE = """### Controller file
+
+What `design` writes and the node `controller` takes: a ROS parameter file with [its parameters](nodes.md#controller).
+"""
 
 
 class Row(NamedTuple):
-    """A key: its place, type, default and range, in words."""
+    """A key: its place, type, default and range, in words; its meaning, where its schema states it."""
 
     key: str
     kind: str
     default: str
     allowed: str
+    meaning: str = ""
 
 
-def rows(schema: type[Checked], place: str = "") -> Iterator[Row]:
+def rows(schema: type, place: str = "") -> Iterator[Row]:
     """Every key of a `schema` whose keys stand at a `place` of its file."""
-    content = schema.model_json_schema(by_alias=True)
+    content = pydantic.TypeAdapter(schema).json_schema(by_alias=True)
     yield from _object(content, content.get("$defs", {}), place)
 
 
@@ -131,16 +113,20 @@ def _object(content: Mapping[str, Any], known: Mapping[str, Any], place: str) ->
     required = content.get("required", [])
     groups: dict[str, list[str]] = {}
     for name, inner in content.get("properties", {}).items():
-        has_keys = any("properties" in each for each in _alternatives(inner, known))
-        groups.setdefault(str(inner) if has_keys else name, []).append(name)
+        keys = [key for each in _alternatives(inner, known) for key in each.get("properties", ())]
+        groups.setdefault(str(keys) if keys else name, []).append(name)
     for names in groups.values():
         inner = content["properties"][names[0]]
-        alike = len(names) > 2
-        if alike:
+        default = "" if set(names) & set(required) else _default(inner)
+        if len(names) > 2:
             yield Row(f"{place}*", f"`*`: {', '.join(names)}", "", "")
-        for name in ["*"] if alike else names:
-            default = "" if set(names) & set(required) else _default(inner)
-            yield from _value(f"{place}{name}", content["properties"].get(name, inner), known, default)
+            each = [_value(f"{place}*", content["properties"][name], known, default) for name in names]
+            for first, *others in zip(*each, strict=True):
+                same = all(other.kind == first.kind for other in others)
+                yield first if same else first._replace(kind="quantity")
+            continue
+        for name in names:
+            yield from _value(f"{place}{name}", content["properties"][name], known, default)
 
 
 def _value(key: str, content: Mapping[str, Any], known: Mapping[str, Any], default: str) -> Iterator[Row]:
@@ -152,10 +138,11 @@ def _value(key: str, content: Mapping[str, Any], known: Mapping[str, Any], defau
     if key not in found and default:
         yield Row(key, "keys and values", default, "")
     for place, alike in found.items():
-        columns = zip(*(row[1:] for row in alike), strict=True)
+        columns = zip(*(row[1:4] for row in alike), strict=True)
         kinds, defaults, ranges = (" or ".join(dict.fromkeys(filter(None, texts))) for texts in columns)
         free = any(row.kind == "text" and not row.allowed for row in alike)
-        yield Row(place, kinds, defaults, f"{ranges}, or any other" if ranges and free else ranges)
+        allowed = f"{ranges}, or any other" if ranges and free else ranges
+        yield Row(place, kinds, defaults, allowed, alike[0].meaning)
 
 
 def _one(key: str, content: Mapping[str, Any], known: Mapping[str, Any], default: str) -> Iterator[Row]:
@@ -166,7 +153,7 @@ def _one(key: str, content: Mapping[str, Any], known: Mapping[str, Any], default
     elif any("properties" in each for each in _alternatives(content.get("items", {}), known)):
         yield from _value(f"{key}[]", content["items"], known, "")
     else:
-        yield Row(key, _kind(content, known), default, _allowed(content, known))
+        yield Row(key, _kind(content, known), default, _allowed(content, known), content.get("description", ""))
 
 
 def _alternatives(content: Mapping[str, Any], known: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -185,6 +172,10 @@ def _kind(content: Mapping[str, Any], known: Mapping[str, Any]) -> str:
         inner = content.get("items") or (content.get("prefixItems") or [{}])[0]
         of = " or ".join(dict.fromkeys(_kind(each, known) for each in _alternatives(inner, known)))
         return f"list of {of}" if of else "list"
+    if content.get("unit") == "1":
+        return "number or %"
+    if "unit" in content:
+        return "quantity"
     names = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false"}
     return names.get(kind, "keys and values" if kind == "object" else "any")
 
@@ -201,6 +192,8 @@ def _allowed(content: Mapping[str, Any], known: Mapping[str, Any]) -> str:
     if choices:
         return ", ".join(f"`{choice}`" for choice in choices)
     words = {"exclusiveMinimum": "above", "minimum": "at least", "exclusiveMaximum": "below", "maximum": "at most"}
+    if {"minimum", "maximum"} <= content.keys() and content["maximum"] < UNBOUNDED:
+        return f"{content['minimum']:g} to {content['maximum']:g}"
     bounds = [(word, content[name]) for name, word in words.items() if abs(content.get(name, UNBOUNDED)) < UNBOUNDED]
     return ", ".join(f"{word} {bound:g}" for word, bound in bounds)
 
@@ -216,7 +209,7 @@ def _default(content: Mapping[str, Any]) -> str:
 
 @cache
 def meanings() -> dict[str, dict[str, str]]:
-    """The meanings of keys, by the heading of their file; those of `Results` are for all results."""
+    """The meanings of keys, by the heading of their file."""
     found: dict[str, dict[str, str]] = yaml.safe_load(MEANINGS.read_text(encoding="utf-8"))
     return found
 
@@ -230,31 +223,87 @@ def entry(title: str, key: str) -> tuple[str, str]:
         If it has none.
     """
     parts = key.split(".")
-    for heading in (title, title.partition(": ")[0]):
-        for start in range(len(parts)):
-            ending = ".".join(parts[start:])
-            if ending in meanings().get(heading, {}):
-                return heading, ending
+    for start in range(len(parts)):
+        ending = ".".join(parts[start:])
+        if ending in meanings().get(title, {}):
+            return title, ending
     raise AbraceError(f"{MEANINGS.name}: {title}: {key}: no meaning, expected one phrase")
 
 
 def section(described: Described) -> str:
     """A file's heading, what it is, and the table of its keys."""
     found = [row for place, schema in described.schemas.items() for row in rows(schema, place)]
-    lines = ["| key | what it is | type | default | allowed |", "|---|---|---|---|---|"]
+    cells = alike([_cells(described.title, row) for row in found if not row.meaning]) + options(found)
+    head = f"### {described.title}\n\n{pages.paragraph(described.about)}\n"
+    return head + pages.table(["key", "what it is", "value, default"], cells)
+
+
+def _cells(title: str, row: Row) -> tuple[str, str, str]:
+    """A key, its meaning, and its value; the names that a star stands for are part of the meaning."""
+    if not row.kind.startswith("`*`"):
+        return f"`{row.key}`", meaning(title, row.key), _value_words(row)
+    names, _, kind = row.kind.partition(" or ")
+    return f"`{row.key}`", f"{meaning(title, row.key)}; {names}", _value_words(row._replace(kind=kind))
+
+
+def alike(cells: list[tuple[str, str, str]]) -> list[tuple[str, str, str]]:
+    """The rows of a table; keys that a place has in common with one above it, two or more, are named in one row."""
+    places: dict[str, dict[str, tuple[str, str]]] = {}
+    shown = []
+    for key, about, value in cells:
+        place, _, name = key.strip("`").rpartition(".")
+        places.setdefault(place, {})[name] = about, value
+    for key, about, value in cells:
+        place, _, name = key.strip("`").rpartition(".")
+        before = [each for each in list(places)[: list(places).index(place)] if each]
+        common = {
+            each: [one for one in places[place] if places[place][one] == places[each].get(one)] for each in before
+        }
+        first = next((each for each in before if len(common[each]) > 1), "")
+        if not first or name not in common[first]:
+            shown.append((key, about, value))
+        elif name == common[first][0]:
+            shown.append((f"`{place}.*`", f"as in `{first}`; `*`: {', '.join(common[first])}", ""))
+    return shown
+
+
+def options(found: list[Row]) -> list[tuple[str, str, str]]:
+    """Rows of keys that are the parameters of a node, whose page has their meaning: one for each place."""
+    places: dict[str, list[str]] = {}
     for row in found:
-        heading, ending = entry(described.title, row.key)
-        meaning = meanings()[heading][ending]
-        lines.append(f"| `{row.key}` | {meaning} | {row.kind} | {row.default} | {row.allowed} |")
-    about = "\n".join(textwrap.wrap(described.about, 120))
-    return f"### {described.title}\n\n{about}\n\n" + "\n".join(lines) + "\n"
+        if row.meaning:
+            place, _, name = row.key.rpartition(".")
+            places.setdefault(place, []).append(name)
+    return [
+        (f"`{place}.*`", f"as the parameters of {_node(place)}; `*`: {', '.join(names)}", "")
+        for place, names in places.items()
+    ]
+
+
+def _node(place: str) -> str:
+    """A link to the node that has the options at a place, which is named for it."""
+    name = place.rpartition(".")[2]
+    return f"[{name}](nodes.md#{name})"
+
+
+def meaning(title: str, key: str) -> str:
+    """What MEANINGS says of a key."""
+    heading, ending = entry(title, key)
+    return meanings()[heading][ending]
+
+
+def _value_words(row: Row) -> str:
+    """Type, range and default of a key; the type is left out where the choices or the keys below tell it."""
+    kind = "" if (row.kind == "text" and "`" in row.allowed) or row.kind == "keys and values" else row.kind
+    range_ = f"{kind}, {row.allowed}" if kind and row.allowed else kind or row.allowed
+    return "; ".join(filter(None, (range_, row.default)))
 
 
 def page() -> str:
     """The whole page."""
     parts = [INTRODUCTION, "## Files that people write\n", *map(section, WRITTEN_BY_PEOPLE)]
-    return "\n".join([*parts, "## Files that abrace writes\n", *map(section, WRITTEN_BY_ABRACE)])
+    return "\n".join([*parts, "## Files that abrace writes\n", CONTROLLER_FILE, section(MODEL_FILE)])
 
 
 if __name__ == "__main__":
-    write_text(PAGE, page())
+    pages.write(__file__, page)

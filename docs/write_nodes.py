@@ -4,40 +4,37 @@
 from __future__ import annotations
 
 import importlib
-import textwrap
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from abrace_core.files import write_text
-from abrace_core.node import AUTOSTART, AbraceLifecycleNode, Parameter, real_time
-from abrace_core.node.brace_commander import RATE_LIMIT, BraceCommander
+import pages
+
+from abrace_node import real_time
+from abrace_node.commander import RATE_LIMIT, BraceCommander
+from abrace_node.lifecycle import AUTOSTART, AbraceLifecycleNode
 from abrace_plant.nodes.rig_node import RIG_PARAMETERS, RigNode
 
 if TYPE_CHECKING:
     from types import ModuleType
 
-PAGE = Path(__file__).parent / "nodes.md"
+    from abrace_node.parameters import Parameter
 
 INTRODUCTION = """# Nodes
 
-Written by `python docs/write_nodes.py` from the parameter tables in the nodes' source.
-With `--help` a node prints an example and its parameters with their allowed values, with `--version` abrace's version.
+    abrace run PACKAGE NODE --ros-args -p PARAMETER:=VALUE
 
-Every node publishes its state on `/diagnostics`, once a second and when it changes, where `rqt_robot_monitor` and
-`diagnostic_aggregator` expect it. A status has the node's full name (`rig/plant: state`) and the namespace as
-hardware ID, so that several rigs can be distinguished. A fault is also logged, when it occurs and when it is cleared,
-on the terminal and on `/rosout`, with what to do about it.
+A node with `--help` prints an example and its parameters.
 
-All other topic names are relative: they can be remapped and put in a namespace. A wrong parameter ends the node with
-one line and exit code 2. Parameters are read once, when the node starts, except those marked *live*. Parameters that
-are set together are all accepted or all refused. An empty list is `[]`; for tools that cannot pass one, `['']` is the
-same. `duration:=10` is read as `10.0`; numbers in a list must be all of one type, `[1.0, 2.5]`. A life cycle node moves
-something, and does so only while it is active. Two nodes of the same name in the same namespace receive each other's
-commands: each logs that it is not alone.
+- **Parameters** are read once, when the node starts, except those marked *live*. A wrong one ends the node with one
+  line and exit code 2. `duration:=10` is read as `10.0`; the numbers of a list must be of one type, `[1.0, 2.5]`. An
+  empty list is `[]`, or `['']` for tools that cannot pass it.
+- **Topics** are relative names unless they begin with a slash: they can be remapped and put in a namespace.
+- **State**: every node publishes it on `/diagnostics` once a second and when it changes, under its full name
+  (`rig/plant: state`), the namespace as hardware ID. A fault is also logged, with what to do about it.
+- A **life cycle node** moves something, and only while it is active.
+- In **lockstep** the rig publishes its time on `clock` in its own namespace. A tool with `use_sim_time` receives it by
+  `-r /clock:=/rig/clock`.
 
-In lockstep the rig publishes its time on `clock` in its own namespace, so that no rig changes another's time. Tools
-with `use_sim_time` receive it by `-r /clock:=/rig/clock`; if there is only one rig, give `-r clock:=/clock` to the
-plant.
+In the tables a parameter without a default is required. *Made from the nodes' tables by `docs/write_nodes.py`.*
 """
 
 NODES = {
@@ -46,46 +43,39 @@ NODES = {
         "`joint_states`, `robot_description`, in lockstep `clock` (rosgraph_msgs/Clock). Service `~/clear_fault` "
         "(std_srvs/Trigger).",
         "sensor_bridge": "Takes and publishes the same as `plant`, except `clock`. Services `~/clear_fault`, "
-        "`~/zero_sensors` (std_srvs/Trigger): bridge.md.",
-        "ground_motion": "Takes `response`; publishes `ground_motion`. Action `play_ground_motion`, service "
-        "`~/clear_fault`.",
-        "record": "Offline: a record as read and as it would be played, as numbers and a figure.",
-        "robot_description": "Offline: prints a rig's robot description (URDF).",
-        "check_sensors": "Offline: mean, noise, range use and drift of each channel; names those that are dead, "
-        "clipped, noisy, swapped, or have the wrong sign or gain (bridge.md). Ends with code 1 if there is one.",
-        "jitter": "Takes `response` of a running rig; writes numbers and a figure: real_time.md.",
-        "characterize": "Offline: measures a rig as the paper measured its building; writes numbers and a figure.",
+        "`~/zero_sensors` (std_srvs/Trigger).",
+        "ground_motion": "Takes `response`; publishes `ground_motion`. Action `play_ground_motion`, services "
+        "`~/play` (std_srvs/Trigger), `~/clear_fault`.",
+        "record": "Offline.",
+        "check_sensors": "Offline. Ends with code 1 if a channel is wrong.",
+        "characterize": "Offline.",
     },
     "abrace_bags": {
-        "logger": "Takes the topics that it records. Services `~/start`, `~/stop`, `~/pause`, `~/resume`, `~/split`, "
-        "`~/snapshot` (all std_srvs/Trigger): bags.md.",
-        "replay": "Publishes the topics of a bag. Services `~/pause` (std_srvs/SetBool), `~/step` (std_srvs/Trigger): "
-        "replay.md.",
-        "recover": "Offline: writes what can be read of a damaged bag, and reports what is missing, topic by topic: "
-        "bags.md.",
+        "logger": "Takes the topics that it records. Services `~/start`, `~/stop` (std_srvs/Trigger).",
+        "replay": "Publishes the topics of a bag.",
+        "recover": "Offline; reports what is missing, topic by topic.",
     },
     "abrace_sysid": {
-        "ambient": "Offline: bags without commands to modes with intervals; reports whether the building has changed "
-        "(ambient.md).",
-        "excitation": "Takes `response`; publishes `brace_command`. Service `~/clear_fault`.",
-        "identify": "Offline: bags, or measured data, to models, poles and figures.",
-        "validate": "Offline: a bag against its simulation by a model.",
+        "ambient": "Offline.",
+        "excitation": "Takes `response`; publishes `brace_command`. Services `~/play` (std_srvs/Trigger), "
+        "`~/clear_fault`.",
+        "identify": "Offline.",
+        "identify_data": "Offline.",
+        "validate": "Offline.",
     },
     "abrace": {
-        "supervisor": "Takes `/diagnostics`; configures and activates the rig of a launch: launch.md. Ends with code "
+        "supervisor": "Takes `/diagnostics`; configures and activates the rig of a launch. Ends with code "
         "1 if nodes did not find each other, there was a fault, or a signal was interrupted.",
     },
     "abrace_bringup": {
-        "viewer": "Takes the topics that its clients show, and `/diagnostics`; publishes `markers` for RViz and, "
-        "with `operate`, a stop. Serves the topics to Foxglove and Lichtblick, and a page to browsers: viewer.md.",
-        "operator": "Takes `response`, `/diagnostics`; publishes `/emergency_stop`, pressed or not, ten times a "
-        "second. Calls services of the nodes in its namespace: operator.md.",
+        "viewer": "Takes the topics that its clients show, and serves them to Foxglove and Lichtblick.",
+        "operator": "Takes `response`, `/diagnostics`; serves the page to browsers. With `operate` it publishes "
+        "`/emergency_stop`, pressed or not, ten times a second, and calls services of the nodes in its "
+        "namespace.",
     },
     "abrace_lqg": {
-        "design": "Offline: a model and weights to a controller file.",
-        "controller": "Takes `response`; publishes `brace_command`. Service `~/clear_fault`. Its "
-        "parameters are a controller file that `design` wrote.",
-        "explore": "Offline: many weight sets tried on an ensemble of records; any of them becomes a controller.",
+        "design": "Offline.",
+        "controller": "Takes `response`; publishes `brace_command`. Service `~/clear_fault`.",
     },
 }
 
@@ -100,16 +90,17 @@ def node_class(module: ModuleType) -> type:
     return found
 
 
-def row(parameter: Parameter) -> str:
-    """A parameter as a row of a Markdown table."""
-    default = "required" if parameter.required and not parameter.default else f"`{parameter.default!r}`"
-    kind = parameter.ros_type.name.lower()
+def row(parameter: Parameter) -> tuple[str, str, str]:
+    """A parameter as a row of a table: name, default, and what it is with its range or choices."""
+    default = "" if parameter.required and not parameter.default else f"`{parameter.default!r}`"
+    if isinstance(parameter.default, list) and not parameter.default:
+        default = f"`[]` ({parameter.ros_type.name.lower().removesuffix('_array')})"
     allowed = ", ".join(f"`{choice}`" for choice in parameter.choices if choice)
-    if parameter.minimum is not None:
+    if parameter.minimum or parameter.maximum is not None:  # 0 or more goes without saying
         most = "or more" if parameter.maximum is None else f"to {parameter.maximum:g}"
-        allowed = f"{parameter.minimum:g} {most}"
-    description = parameter.description + (" (*live*)" if parameter.live else "")
-    return f"| `{parameter.name}` | {kind} | {default} | {allowed} | {description} |"
+        allowed = f"{parameter.minimum or 0:g} {most}"
+    live = " (*live*)" if parameter.live else ""
+    return f"`{parameter.name}`", default, parameter.description + (f"; {allowed}" if allowed else "") + live
 
 
 def parameters(package: str, name: str) -> list[Parameter]:
@@ -123,23 +114,43 @@ def parameters(package: str, name: str) -> list[Parameter]:
     return [*table, *real_time.PARAMETERS, AUTOSTART] if issubclass(found, AbraceLifecycleNode) else table
 
 
+SHARED = (*real_time.PARAMETERS, AUTOSTART)
+"""Every life cycle node has them: they are listed once."""
+
+
+COLUMNS = ("parameter", "default", "what it is")
+SEVERAL = 3
+"""So many parameters or more that a node has in common with one before it are named, and described there alone."""
+
+
+def section(package: str, name: str, about: str, before: dict[str, set[tuple[str, str, str]]]) -> str:
+    """A node: what it does, an example, its parameters; it is added to the nodes `before` it."""
+    module = importlib.import_module(f"{package}.nodes.{name}")
+    lifecycle = issubclass(node_class(module), AbraceLifecycleNode)
+    text = module.__doc__ or ""
+    summary = text.split("\n\n")[0].partition(": ")[2].replace("\n", " ")
+    example = next(line for line in text.splitlines() if line.startswith("abrace run "))
+    kind = f"In {package}{', life cycle node' if lifecycle else ''}: {summary} {about}"
+    own, rest = [each for each in parameters(package, name) if each not in SHARED], ""
+    for other, known in before.items():
+        common = [each for each in own if row(each) in known]
+        if len(common) >= SEVERAL:
+            own = [each for each in own if each not in common]
+            rest = pages.paragraph(f"As [{other}](#{other}) it has {', '.join(f'`{each.name}`' for each in common)}.")
+    before[name] = set(map(row, own))
+    table = pages.table(COLUMNS, map(row, own))
+    return "\n".join([f"## {name}\n", pages.paragraph(kind), f"    {example}\n", table, *([rest] if rest else [])])
+
+
 def page() -> str:
     """The whole page."""
-    parts = [INTRODUCTION]
-    for package, nodes in NODES.items():
-        for name, topics in nodes.items():
-            module = importlib.import_module(f"{package}.nodes.{name}")
-            lifecycle = issubclass(node_class(module), AbraceLifecycleNode)
-            summary = (module.__doc__ or "").split("\n\n")[0].partition(": ")[2].replace("\n", " ")
-            parts.append(f"## {name}\n")
-            parts.append(f"`abrace run {package} {name}`{' (life cycle node)' if lifecycle else ''}: {summary}\n")
-            parts.append("\n".join(textwrap.wrap(topics, 120)) + "\n")
-            example = next(line for line in (module.__doc__ or "").splitlines() if line.startswith("abrace run "))
-            parts.append(f"For example `{example}`\n")
-            parts.append("| parameter | type | default | allowed | what it is |\n|---|---|---|---|---|")
-            parts.append("\n".join(row(parameter) for parameter in parameters(package, name)) + "\n")
-    return "\n".join(parts)
+    before: dict[str, set[tuple[str, str, str]]] = {}
+    nodes = [
+        section(package, name, about, before) for package, inside in NODES.items() for name, about in inside.items()
+    ]
+    shared = f"## Every life cycle node\n\n{pages.table(COLUMNS, map(row, SHARED))}"
+    return "\n".join([INTRODUCTION, shared, *nodes])
 
 
 if __name__ == "__main__":
-    write_text(PAGE, page())
+    pages.write(__file__, page)

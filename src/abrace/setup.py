@@ -5,13 +5,12 @@ from setuptools import find_packages, setup
 
 setup(
     name="abrace",
-    version="0.1.0",
+    version="1.0.0",
     packages=find_packages(),
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/abrace"]),
         ("share/abrace", ["package.xml"]),
         ("share/abrace/campaigns", sorted(glob("campaigns/*.yaml"))),
-        ("share/abrace/benchmarks", sorted(glob("benchmarks/*.yaml"))),
         ("bin", ["scripts/abrace"]),
     ],
     zip_safe=True,
@@ -19,5 +18,6 @@ setup(
     maintainer_email="maintainers@abrace.example.org",
     description="The abrace command: nodes run as processes, campaigns of tests, reports, bags.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["supervisor = abrace_core.executable:main"]},
+    extras_require={"test": ["pytest"]},
+    entry_points={"console_scripts": ["supervisor = abrace_node.executable:main"]},
 )

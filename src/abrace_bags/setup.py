@@ -3,7 +3,7 @@ from setuptools import find_packages, setup
 
 setup(
     name="abrace_bags",
-    version="0.1.0",
+    version="1.0.0",
     packages=find_packages(),
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/abrace_bags"]),
@@ -14,11 +14,12 @@ setup(
     maintainer_email="maintainers@abrace.example.org",
     description="MCAP bags of the rig: recorded, read as arrays, recovered, replayed.",
     license="Apache-2.0",
+    extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "logger = abrace_core.executable:main",
-            "recover = abrace_core.executable:main",
-            "replay = abrace_core.executable:main",
+            "logger = abrace_node.executable:main",
+            "recover = abrace_node.executable:main",
+            "replay = abrace_node.executable:main",
         ]
     },
 )

@@ -5,28 +5,28 @@ from setuptools import find_packages, setup
 
 setup(
     name="abrace_bringup",
-    version="0.1.0",
+    version="1.0.0",
     packages=find_packages(),
-    package_data={"abrace_bringup": ["operator_page/files/*"]},
+    package_data={"abrace_bringup": ["page/files/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/abrace_bringup"]),
         ("share/abrace_bringup", ["package.xml"]),
         ("share/abrace_bringup/launch", sorted(glob("launch/*.launch.py"))),
-        ("share/abrace_bringup/config", sorted(glob("config/*.xml"))),
         ("share/abrace_bringup/viewer", sorted(glob("viewer/*"))),
-        ("lib/abrace_bringup", ["scripts/make_keystore"]),
     ],
     zip_safe=True,
     maintainer="abrace developers",
     maintainer_email="maintainers@abrace.example.org",
-    description="Launch files for the rig, and the operator's page.",
+    description="Launch files for tests of the rig, and the page to watch and operate it.",
     license="Apache-2.0",
+    extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "closed_loop = abrace_bringup.without_launch:closed_loop",
-            "identification = abrace_bringup.without_launch:identification",
-            "viewer = abrace_core.executable:main",
-            "operator = abrace_core.executable:main",
+            "closed_loop = abrace_bringup.without_launch:main",
+            "identification = abrace_bringup.without_launch:main",
+            "policy = abrace_bringup.policy:main",
+            "viewer = abrace_node.executable:main",
+            "operator = abrace_node.executable:main",
         ]
     },
 )

@@ -3,7 +3,7 @@ from setuptools import find_packages, setup
 
 setup(
     name="abrace_sysid",
-    version="0.1.0",
+    version="1.0.0",
     packages=find_packages(),
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/abrace_sysid"]),
@@ -14,12 +14,14 @@ setup(
     maintainer_email="maintainers@abrace.example.org",
     description="From bags of white-noise tests to state-space models: excitation, identification, validation.",
     license="Apache-2.0",
+    extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "ambient = abrace_core.executable:main",
-            "excitation = abrace_core.executable:main",
-            "identify = abrace_core.executable:main",
-            "validate = abrace_core.executable:main",
+            "ambient = abrace_node.executable:main",
+            "excitation = abrace_node.executable:main",
+            "identify_data = abrace_node.executable:main",
+            "identify = abrace_node.executable:main",
+            "validate = abrace_node.executable:main",
         ]
     },
 )

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from abrace.cli import main
-from abrace_bags import BagWriter, read_topics
+from abrace_bags import Bag, BagWriter
 from abrace_bags.figure import bag_figure
 from abrace_bags.mcap.attachments import file_attachments
 
@@ -58,8 +58,21 @@ def test_info_of_a_cut_off_bag_warns(bag: Path, capsys: pytest.CaptureFixture[st
     assert "WARNING: " in capsys.readouterr().out
 
 
+def test_a_part_of_a_bag_and_several_bags_become_a_new_bag(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for out, arguments in (("first", ["--duration", "2"]), ("last", ["force", "--start-offset", "2"])):
+        assert main(["bag", "trim", str(bag), str(tmp_path / out), *arguments]) == 0
+        assert capsys.readouterr().out == f"wrote {tmp_path / out}: 2 of /force\n"
+    whole = tmp_path / "whole"
+    assert main(["bag", "merge", str(whole), str(tmp_path / "last"), str(tmp_path / "first")]) == 0
+    assert capsys.readouterr().out == f"wrote {whole}: 4 of /force\n"
+    assert Bag(whole).arrays()["/force"].fields["sequence"].tolist() == [0, 1, 2, 5]
+    assert Bag(whole).facts == {"rig": "ncree"}
+
+
 def test_a_plot_shows_quantities_and_counters_only_where_there_are_none(bag: Path) -> None:
-    topics = read_topics(bag, ["/force"])
+    topics = Bag(bag).arrays(["/force"])
     (axis,) = bag_figure(topics).axes
     assert axis.get_title(loc="left") == "force"
     assert axis.get_ylabel() == "[N]"
@@ -97,21 +110,6 @@ def test_file_is_written(bag: Path, tmp_path: Path, action: str, topics: list[st
     assert output.read_bytes().startswith(begin)
 
 
-def test_topic_is_found_by_the_end_of_its_name_if_only_one_has_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with BagWriter(tmp_path / "bag", {}) as bag:
-        for name in ("/rig/response", "/rig/plant/state", "/other/plant/state", "/force"):
-            topic = bag.add_topic(name, "test_msgs/msg/Force", DEFINITION, "")
-            bag.write(topic, PREFIX + bytes(16), 1, 1)
-    command = ["bag", "csv", str(tmp_path / "bag"), "--output", str(tmp_path / "topic.csv")]
-    for found in ("response", "/response", "rig/response", "/rig/plant/state", "force"):
-        assert main([*command, found]) == 0, found
-    assert main([*command, "state"]) == 2
-    assert "2 topics end in /state, expected one of /other/plant/state, /rig/plant/state" in capsys.readouterr().err
-    assert main([*command, "ponse"]) == 2, "the end of a name, not of a word"
-
-
 def test_topic_whose_name_has_no_slash_is_found(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", {}) as bag:
         for name in ("imu", "/force"):
@@ -132,6 +130,8 @@ def test_topic_whose_name_has_no_slash_is_found(tmp_path: Path) -> None:
         (["csv", "{bag}", "force", "--output", "/"], "cannot write /"),
         (["mat", "{bag}", "--output", ""], "cannot write ."),
         (["csv", "{bag}", "force", "--start-offset", "900", "--output", "x"], "no message from 900 s to the end"),
+        (["trim", "{bag}", "{bag}x", "--duration", "-1"], "--duration: -1.0, expected seconds from 0 on"),
+        (["merge", "{bag}x", "{bag}", "{bag}"], "bag is named twice"),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(

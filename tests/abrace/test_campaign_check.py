@@ -6,16 +6,18 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from campaign_file import TOP, day, mistakes_of
 
 from abrace.campaign.forecast import Peak
 from abrace.campaign.plan import Plan, check_campaign
-from abrace.campaign.tasks import Compare
 from abrace.cli import main
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import save_model
-from abrace_core.node import find_file
+from abrace_core import AbraceError
+from abrace_core.files.installed import find_file
+from abrace_core.model.controller_file import Controller, save_controller
+from abrace_core.model.linear_model import LinearModel, save_model
+from abrace_plant.live.simulated_run import simulated_run
 from abrace_plant.rig.file import load_rig
 
 DEMO = Path(__file__).parents[2] / "src/abrace/campaigns/demo.yaml"
@@ -68,21 +70,100 @@ def test_everything_that_is_wrong_is_told_before_the_first_test(tmp_path: Path) 
         assert line.startswith(start), f"{line}, expected {start}"
 
 
+def test_what_a_verb_would_refuse_is_told_by_its_own_check_in_one_round(tmp_path: Path) -> None:
+    """Options of every offline step, and a weights file; what pydantic finds, and what needs rig and tests."""
+    weights = (find_file("lqg3", "abrace_lqg", "config", ".yaml", "weights")).read_text()
+    (tmp_path / "own.yaml").write_text(weights.replace("a1", "a7"))
+    (tmp_path / "other.yaml").write_text(weights.replace("noise_to_excitation", "noise_to_exitation"))
+    noise, pushed = NOISE.replace("RMS", "0.1"), NOISE.replace("RMS", "900.0")
+
+    def identify(name: str, options: str) -> str:
+        return f"{{name: {name}, identify: {{table: w, command: u, {options}}}}}"
+
+    found = problems(
+        tmp_path,
+        f"{{name: w, test: {{duration: 70.0, ground_motion: {{record: white_noise, {noise}}}}}}}",
+        f"{{name: u, test: {{duration: 70.0, excitation: {{{pushed}}}}}}}",
+        identify("a", "method: papr"),
+        identify("b", "command_order: 7"),
+        identify("c", "table_band: [5.0, 1.0]"),
+        identify("d", "command_band: [0.3, 30.0]"),
+        identify("e", 'segment: "4096"'),
+        identify("f", "transfer_function: welch, segment: 40000"),
+        identify("g", "mthod: paper"),
+        identify("g1", "half_width: 3"),
+        identify("g2", "order: 40"),
+        identify("g3", "half_width: 700"),
+        identify("g4", "transfer_function: local_polynomial, order: 5"),
+        identify("g5", "command_order: 12, reduced_order: 16"),
+        identify("g6", "method: paper, reduced_order: 25"),
+        "{name: h, design: {model: b, weights: own.yaml}}",
+        "{name: i, design: {model: b, weights: other.yaml, gain_margin: -1.0}}",
+        "{name: j, design: {model: b, weights: other.yaml}}",
+        "{name: k, design: {model: b, weights: lqg3, force_limit: [1.0, 2.0], excitation_band: [2.0, 1.0]}}",
+        "{name: l, design: {model: b, weights: lqg3, force_limit: [1.0, 2.0]}}",
+        "{name: m, design: {model: b, weights: lqg3, sample_period: 0.9}}",
+        "{name: n, ambient: {test: w, band: [9.0, 1.0]}}",
+        "{name: o, ambient: {test: w, band: [1.0, 900.0]}}",
+        "{name: p, ambient: {test: w, channels: [a7], highest_order: 40}}",
+        "{name: q, ambient: {test: w, highest_order: 2}}",
+        "{name: r, design: {model: b, weights: lqg3, sample_period: 0.004}}",
+        f"{{name: s, test: {{duration: 9.0, ground_motion: {EL_CENTRO}, controller: r}}}}",
+    )
+    expected = [
+        "27 mistakes, nothing was started",
+        "step a: identify.method: 'papr', expected 'maximum_likelihood', 'vector_fitting' or 'paper'",
+        "step c: identify.table_band: [5.0, 1.0], expected two frequencies in Hz, the lower one first",
+        "step e: identify.segment: '4096', expected a whole number",
+        "step g: identify.mthod: unknown key, did you mean method?",
+        "step i: design.gain_margin: -1.0, expected greater than or equal to 0",
+        "step k: design.excitation_band: [2.0, 1.0], expected two frequencies in Hz, the lower one first",
+        "step n: ambient.band: [9.0, 1.0], expected two frequencies in Hz, the lower one first",
+        "step q: ambient.highest_order: 2, expected greater than or equal to 4",
+        "step b: identify: identification: command_order 7, expected an even number of at least 6",
+        "step d: identify.command_band: 0.3 to 30 Hz, expected within the 0.3 to 20 Hz of u",
+        "step f: identify.table: w: segments of 40000 in 35000 samples, expected 2 to 17500",
+        "step f: identify.command: u: segments of 40000 in 35000 samples, expected 2 to 17500",
+        *(
+            f"step {step}: identify.{test}: local {message}"
+            for step, message in (
+                ("g1", "rational method: order 2 and half_width 3, expected order >= 0 and half_width >= 4"),
+                ("g2", "rational method: order 40 and half_width 20, expected order >= 0 and half_width >= 42"),
+            )
+            for test in ("table", "command")
+        ),
+        "step g3: identify.table: local rational method: 1380 lines in the band, expected at least 1401",
+        "step g3: identify.command: local rational method: 1380 lines in the band, expected at least 1401",
+        "step g5: identify: identification: reduced_order 16, expected at most the 15 states of the model by method m",
+        "step g6: identify: identification: reduced_order 25, expected at most the 24 states of the model by method p",
+        "step h: design.weights: weights: measured: a7, expected some of x1",
+        f"step j: design.weights: weights file {tmp_path}/other.yaml: noise_to_exitation: unknown key",
+        "step l: design.force_limit: [1.0, 2.0] N, expected one for each command of the model (U)",
+        "step m: design.sample_period: 0.9 s, expected above 0 and below 0.427 s",
+        "step o: ambient: ambient test: band 1 to 900 Hz, expected within 0 to 250 Hz",
+        "step p: ambient: ambient test: no channel 'a7', it has x1, x2, x3, xf, a1",
+        "step s: test.controller: r samples every 0.004 s, expected 0.002 s",
+    ]
+    for line, start in zip(found, expected, strict=False):
+        assert line.startswith(start), f"{line}, expected {start}"
+    assert len(found) == len(expected)
+
+
 def test_identification_tests_that_cannot_be_used_together_are_told_before_the_first(tmp_path: Path) -> None:
     multisine = "rms: RMS, band: [0.3, 20.0], seed: 1, period: PERIOD, lines: LINES"
 
-    def both(name: str, lines: str = "even", period: float = 16.384, rms: str = "900.0") -> str:
-        table = multisine.replace("RMS", "0.1").replace("PERIOD", "16.384").replace("LINES", "odd")
+    def both(name: str, lines: str = "even", period: float = 8.192, rms: str = "900.0") -> str:
+        table = multisine.replace("RMS", "0.1").replace("PERIOD", "8.192").replace("LINES", "odd")
         braces = multisine.replace("RMS", rms).replace("PERIOD", str(period)).replace("LINES", lines)
         drives = f"ground_motion: {{record: multisine, {table}}}, excitation: {{signal: multisine, {braces}}}"
-        return f"{{name: {name}, test: {{duration: 73.0, {drives}}}}}"
+        return f"{{name: {name}, test: {{duration: 66.0, {drives}}}}}"
 
     def pushed(name: str, rms: str, signal: str = "white_noise") -> str:
         noise = NOISE.replace("RMS", rms)
-        return f"{{name: {name}, test: {{duration: 73.0, excitation: {{signal: {signal}, {noise}}}}}}}"
+        return f"{{name: {name}, test: {{duration: 66.0, excitation: {{signal: {signal}, {noise}}}}}}}"
 
     noise = NOISE.replace("RMS", "0.1")
-    table = f"{{name: w, test: {{duration: 73.0, ground_motion: {{record: white_noise, {noise}}}}}}}"
+    table = f"{{name: w, test: {{duration: 66.0, ground_motion: {{record: white_noise, {noise}}}}}}}"
     top = TOP.replace("rig: ncree_three_storey", "rig: five_storey")
     assert top != TOP
 
@@ -99,8 +180,8 @@ def test_identification_tests_that_cannot_be_used_together_are_told_before_the_f
     assert found.startswith("table: both has odd lines on the table and odd lines on the braces, expected odd ones on")
     (found,) = said("both", "both", both("both", lines="all"))
     assert found.startswith("table: both has odd lines on the table and all lines on the braces")
-    (found,) = said("both", "both", both("both", period=8.192))
-    assert found == "table: both has multisines of 16.384 and 8.192 s, expected one period"
+    (found,) = said("both", "both", both("both", period=4.096))
+    assert found == "table: both has multisines of 8.192 and 4.096 s, expected one period"
     alone = (table, pushed("one", "[900.0, 0.0]"), pushed("two", "[0, 900]"))
     assert said("w", "[one, two]", *alone) == []
     assert said("w", "one", *alone) == ["command: no test drives brace group 2, expected one of every group"]
@@ -148,14 +229,74 @@ def test_limits_that_will_be_exceeded_are_told_and_not_refused(tmp_path: Path) -
     )
     starts = [care.partition(" as predicted")[0] for care in plan.cares]
     assert [start.split(" 0.")[0].split(" 1")[0] for start in starts] == [
+        "step strong: the rig stops after 2.11 s,",
         "step strong: drift of storey 2",
         "step strong: displacement x3",
         "step strong: acceleration a3",
         "step strong: stroke xf",
         "step pushed: command U reaches its limit of 5000 N (force limit)",
     ]
-    assert plan.cares[1].endswith("more than 0.095 m (interlock)")
+    assert plan.cares[0].endswith("w: at the end of its range, at -1.5 for 20 ms (interlocks.clipped)")
+    assert plan.cares[2].endswith("more than 0.095 m (interlock)")
     assert plan.forecaster.of("own").note == "with zero command: a node of your own is not simulated"
+
+
+@pytest.mark.parametrize(
+    ("interlock", "before", "after"),
+    [
+        ("velocity", "{value: 0.8,", "{value: 0.24,"),
+        ("oscillation", "oscillation: {value: 6000.0,", "oscillation: {value: 1500.0,"),
+        ("table_displacement", "{value: 0.24, time", "{value: 0.02, time"),
+        ("clipped", "ground_acceleration: {range: 1.5", "ground_acceleration: {range: 0.4"),
+    ],
+)
+def test_the_interlock_that_stops_the_simulated_rig_is_foretold(
+    tmp_path: Path, interlock: str, before: str, after: str
+) -> None:
+    text = find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig").read_text()
+    assert before in text
+    (tmp_path / "rig.yaml").write_text(text.replace(before, after))
+    drive = f"ground_motion: {EL_CENTRO}"
+    if interlock == "oscillation":
+        drive = f"excitation: {{{NOISE.replace('RMS', '4000.0')}}}"
+    plan = checked(tmp_path, f"{{name: a, test: {{duration: 8.0, {drive}}}}}", top="rig: rig.yaml\nlockstep: true")
+    care = plan.cares[0]
+    assert care.endswith(f"(interlocks.{interlock})")
+    seconds = float(care.removeprefix("step a: the rig stops after ").partition(" s,")[0])
+    rig, test, signals = load_rig(tmp_path / "rig.yaml"), plan.checked.campaign.tests["a"], plan.checked.signals
+    laboratory = plan.checked.laboratories.of(test)
+    ground = signals.motion(test.ground_motion, 8.0, laboratory) if test.ground_motion else np.zeros(4000)
+    force = signals.excitation(test.excitation, 8.0, laboratory)[:, 0] if test.excitation else np.zeros(4000)
+
+    def stopped(time: float) -> str:
+        motion = ground[: round(time * rig.sample_rate)]
+        return simulated_run(rig, motion, lambda k, _: [float(force[k])]).facts.get("stopped", "")
+
+    assert not stopped(seconds - 0.05)
+    assert stopped(seconds + 0.05).endswith(f"(interlocks.{interlock})")
+
+
+def test_a_sensor_fault_that_is_asked_for_is_foretold_as_the_stop_that_it_is(tmp_path: Path) -> None:
+    plan = checked(
+        tmp_path, f"{{name: a, test: {{duration: 4.0, ground_motion: {EL_CENTRO}, sensor_faults: [a2=stuck@1.5]}}}}"
+    )
+    (care,) = plan.cares
+    assert care.startswith("step a: the rig stops after 1.55 s, as predicted: a2: stuck at ")
+
+
+def test_a_controller_that_makes_the_motion_worse_than_none_is_a_care(tmp_path: Path) -> None:
+    rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
+    for name, gain in (("softer", 2e4), ("stiffer", -2e4)):
+        law = LinearModel([[0.0]], [[1.0]], [[gain]], [[0.0]], ("x3",), ("U",), 1 / rig.sample_rate)
+        controller = Controller(name, law, [[0.0]], [[0.0, 0.0]], rig.capacity, "m", "w", "g")
+        save_controller(controller, tmp_path / f"{name}.yaml")
+    test = f"duration: 20.0, ground_motion: {EL_CENTRO}"
+    plan = checked(
+        tmp_path, *(f"{{name: {name}, test: {{{test}, controller: {name}.yaml}}}}" for name in ("softer", "stiffer"))
+    )
+    (care,) = plan.cares
+    worse = "softer makes the motion worse than no control, as predicted: rms of the greatest displacement 4 % greater"
+    assert care == f"step softer: {worse}"
 
 
 def test_the_predicted_force_is_that_of_the_actuator_that_is_nearest_to_its_own_limit(tmp_path: Path) -> None:
@@ -175,7 +316,7 @@ def test_the_predicted_force_is_that_of_the_actuator_that_is_nearest_to_its_own_
 def test_a_design_that_its_model_refuses_is_refused_or_foretold_where_that_comes_later(tmp_path: Path) -> None:
     rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
     save_model(rig.model, tmp_path / "rig.json")
-    strict = "weights: lqg3, limits: {gain_margin: 40.0}"
+    strict = "weights: lqg3, gain_margin: 40.0"
     (found,) = problems(tmp_path, f"{{name: lqg3, design: {{model: rig.json, {strict}}}}}")
     assert found.startswith("step lqg3: design refused: gain margin")
     text = DEMO.read_text().replace("weights: lqg3", strict)
@@ -210,17 +351,6 @@ def test_a_campaign_that_is_stopped_in_its_report_says_how_it_goes_on(
     assert main(["campaign", str(path)]) == 130
     said = "1 of 1 steps are complete, in results/_unfinished/day; the same command continues with the report\n"
     assert said in capsys.readouterr().err
-
-
-def test_the_campaign_of_the_skyhook_is_whole_and_sets_it_beside_lqg3() -> None:
-    plan = check_campaign(DEMO.parents[3] / "examples/skyhook/campaign.yaml")
-    tests = plan.checked.campaign.tests
-    assert [test.controller_name for name, test in tests.items() if "el_centro_" in name] == ["lqg3", "skyhook"]
-    compared = [task for task in plan.checked.campaign.tasks.values() if isinstance(task, Compare)]
-    assert {task.test: task.uncontrolled for task in compared} == {
-        f"{motion}_{law}": f"free_{motion}" for motion in ("el_centro", "loma_prieta") for law in ("lqg3", "skyhook")
-    }
-    assert not plan.cares
 
 
 def test_rigs_of_one_campaign_have_one_sample_rate(tmp_path: Path) -> None:
@@ -261,5 +391,7 @@ def test_check_says_what_is_done_how_long_it_takes_and_what_is_written_and_moves
     assert "results/demo/" in said
     assert not list(tmp_path.iterdir())
     (tmp_path / "day.yaml").write_text("name: day\nrig: none\nsteps: [{name: a, test: {duration: 1.0}}]")
+    assert main(["campaign", "day.yaml"]) == 2
+    assert not (tmp_path / "results").exists(), "nothing was started"
     assert main(["campaign", "day.yaml", "--check"]) == 2
     assert "abrace: campaign file day.yaml: rig: rig 'none': unknown" in capsys.readouterr().err

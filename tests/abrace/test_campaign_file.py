@@ -9,50 +9,18 @@ import pytest
 from abrace.campaign.check import CheckedCampaign
 from abrace.campaign.drives import (
     ExcitationMultisine,
-    ExcitationNoise,
     MultisineMotion,
-    Record,
-    WhiteNoise,
 )
 from abrace.campaign.file import RigSetup, load_campaign
 from abrace.campaign.inputs import Inputs
 from abrace.campaign.laboratory import Laboratories
-from abrace.campaign.tasks import Ambient, Design, Identify, RigTest, Validate
+from abrace.campaign.tasks import Ambient, Design, Identify, RigTest, Validate, given_options
 from abrace.cli import main
-from abrace_core.errors import AbraceError
-from abrace_core.installed import find_file
+from abrace_core import AbraceError
+from abrace_lqg.proof.limits import DesignOptions
+from abrace_sysid.ambient.modes import AmbientOptions
 
 DEMO = Path(__file__).parents[2] / "src" / "abrace" / "campaigns" / "demo.yaml"
-
-
-def test_the_demo_campaign_is_the_paper_from_end_to_end():
-    campaign = load_campaign(DEMO)
-    assert (campaign.name, campaign.setup.file, campaign.lockstep) == ("demo", "ncree_three_storey", True)
-    el_centro = Record(record="el_centro", peak_acceleration=0.980665)
-    assert {step.name: step.task for step in campaign.steps} == {
-        "table_noise": RigTest(
-            duration=240.0, ground_motion=WhiteNoise(record="white_noise", rms=0.25, band=(0.1, 10.0), seed=1)
-        ),
-        "command_noise": RigTest(duration=240.0, excitation=ExcitationNoise(rms=1800.0, band=(0.0, 30.0), seed=2)),
-        "model": Identify(table=("table_noise",), command=("command_noise",)),
-        "lqg3": Design(model="model", weights="lqg3"),
-        "uncontrolled": RigTest(duration=100.0, ground_motion=el_centro),
-        "controlled": RigTest(duration=100.0, ground_motion=el_centro, controller="lqg3"),
-        "comparison": Validate(test="controlled", uncontrolled="uncontrolled", model="model", controller="lqg3"),
-    }
-    assert [step.name for step in campaign.steps][:3] == ["table_noise", "command_noise", "model"]
-
-
-def test_the_campaign_of_five_controllers_tries_each_under_both_motions():
-    tasks = {step.name: step.task for step in load_campaign(DEMO.with_name("five_controllers.yaml")).steps}
-    for motion in ("el_centro", "noise"):
-        for name in ("lqg1", "lqg2", "lqg3", "lqg4", "lqg5"):
-            assert tasks[name] == Design(model="model", weights=name)
-            test = tasks[f"{motion}_{name}"]
-            assert (test.controller, test.ground_motion) == (name, tasks[motion].ground_motion)
-            assert tasks[f"{motion}_{name}_check"] == Validate(
-                test=f"{motion}_{name}", uncontrolled=motion, model="model", controller=name
-            )
 
 
 def test_the_demo_through_the_bridge_is_the_demo_in_real_time_with_shorter_tests():
@@ -80,17 +48,15 @@ def test_behind_a_device_without_the_emulator_nobody_knows_the_rig(tmp_path):
     assert campaign.thread_priority == 0
 
 
-def test_a_design_step_hands_its_limits_and_what_it_accepts_to_the_node(tmp_path):
+def test_a_step_hands_the_options_in_the_file_to_its_node(tmp_path):
     path = tmp_path / "campaign.yaml"
-    design = (
-        "design: {model: model, weights: lqg3, limits: {gain_margin: 8.0}, accept: [small_disk_margin], draws: 100}"
-    )
+    design = "design: {model: model, weights: lqg3, gain_margin: 8.0, accept: [small_disk_margin], draws: 100}"
     path.write_text(DEMO.read_text().replace("design: {model: model, weights: lqg3}", design))
     task = next(step.task for step in load_campaign(path).steps if isinstance(step.task, Design))
-    defaults = {"phase_margin": 30.0, "delay_margin": 0.004, "disk_margin": 0.3, "damping_kept": 0.8}
-    drawn = {"draws": 100, "draw_seed": 0}
-    assert task.refusal == {"gain_margin": 8.0, **defaults, **drawn, "accept": ["small_disk_margin"]}
-    assert Design(model="model", weights="lqg3").refusal == {"gain_margin": 6.0, **defaults, **drawn, "draws": 30}
+    assert given_options(task, DesignOptions) == {"gain_margin": 8.0, "draws": 100, "accept": ["small_disk_margin"]}
+    assert given_options(Design(model="model", weights="lqg3"), DesignOptions) == {}
+    ambient = Ambient(test=("a",), band=(0.5, 9.0))
+    assert given_options(ambient, AmbientOptions) == {"band": [0.5, 9.0]}
 
 
 def test_a_campaign_that_nobody_has_is_named_with_those_that_there_are(capsys):
@@ -99,29 +65,11 @@ def test_a_campaign_that_nobody_has_is_named_with_those_that_there_are(capsys):
     assert "demo, demo_bridge, five_controllers" in said
 
 
-def test_a_test_may_run_a_controller_file_that_no_step_designed(tmp_path):
-    path = tmp_path / "campaign.yaml"
-    path.write_text("name: own\nrig: rig.yaml\nsteps: [{name: run, test: {duration: 5.0, controller: own/lqg.yaml}}]")
-    (step,) = load_campaign(path).steps
-    assert step.task == RigTest(duration=5.0, controller=str(tmp_path / "own/lqg.yaml")), (
-        "counted from the file's folder"
-    )
-
-
-def test_a_test_without_input_and_without_lockstep_is_a_zero_test_in_real_time(tmp_path):
-    path = tmp_path / "zero.yaml"
-    path.write_text("name: zero\nrig: rig.yaml\nsteps: [{name: rest, test: {duration: 5}}]")
-    campaign = load_campaign(path)
-    assert not campaign.lockstep
-    assert campaign.steps[0].task == RigTest(duration=5.0)
-
-
 def test_multisines_on_table_and_command_at_once_repeated_are_one_identification(tmp_path):
     path = tmp_path / "campaign.yaml"
     both = """{duration: 200.0,
       ground_motion: {record: multisine, rms: 0.2, band: [0.3, 10.0], seed: SEED, lines: odd},
-      excitation: {signal: multisine, rms: 900.0, band: [0.3, 30.0], seed: SEED, lines: even, period: 16.384,
-                   slope: -0.5}}"""
+      excitation: {signal: multisine, rms: 900.0, band: [0.3, 30.0], seed: SEED, lines: even, period: 16.384}}"""
     steps = [f"{{name: test{seed}, test: {both.replace('SEED', str(seed))}}}" for seed in (1, 2)]
     steps.append("{name: model, identify: {table: [test1, test2], command: [test1, test2]}}")
     path.write_text("name: multisines\nrig: rig.yaml\nsteps:\n" + "\n".join(f"  - {step}" for step in steps))
@@ -131,23 +79,31 @@ def test_multisines_on_table_and_command_at_once_repeated_are_one_identification
         duration=200.0,
         ground_motion=MultisineMotion(record="multisine", rms=0.2, band=(0.3, 10.0), seed=1, lines="odd"),
         excitation=ExcitationMultisine(
-            signal="multisine", rms=900.0, band=(0.3, 30.0), seed=1, lines="even", period=16.384, slope=-0.5
+            signal="multisine", rms=900.0, band=(0.3, 30.0), seed=1, lines="even", period=16.384
         ),
     )
 
 
-def test_any_test_may_be_set_beside_its_simulation(tmp_path):
+@pytest.mark.parametrize(
+    ("step", "task"),
+    [
+        ("test: {duration: 5}", RigTest(duration=5.0)),
+        ("test: {duration: 5.0, controller: own/lqg.yaml}", RigTest(duration=5.0, controller="/own/lqg.yaml")),
+        ("validate: {test: uncontrolled, model: model}", Validate(test="uncontrolled", model="model")),
+        (
+            "ambient: {test: [table_noise, uncontrolled], before: table_noise, band: [0.5, 15.0]}",
+            Ambient(test=("table_noise", "uncontrolled"), before=("table_noise",), band=(0.5, 15.0)),
+        ),
+    ],
+)
+def test_a_step_is_read_as_written(tmp_path, step, task):
     path = tmp_path / "campaign.yaml"
-    path.write_text(DEMO.read_text() + "  - {name: zero, validate: {test: uncontrolled, model: model}}\n")
-    assert load_campaign(path).steps[-1].task == Validate(test="uncontrolled", model="model")
-
-
-def test_modes_without_a_drive_are_looked_for_before_and_after(tmp_path):
-    path = tmp_path / "campaign.yaml"
-    step = "  - {name: morning, ambient: {test: [table_noise, uncontrolled], before: table_noise, band: [0.5, 15.0]}}\n"
-    path.write_text(DEMO.read_text() + step)
-    expected = Ambient(test=("table_noise", "uncontrolled"), before=("table_noise",), band=(0.5, 15.0))
-    assert load_campaign(path).steps[-1].task == expected
+    path.write_text(f"{DEMO.read_text()}  - {{name: last, {step}}}\n")
+    found = load_campaign(path).steps[-1].task
+    if isinstance(task, RigTest) and task.controller:
+        assert found.controller == str(tmp_path / "own/lqg.yaml"), "counted from the file's folder"
+        found = found.model_copy(update={"controller": task.controller})
+    assert found.model_dump() == task.model_dump()
 
 
 def test_braces_may_be_disconnected_in_tests_that_are_used_together(tmp_path):
@@ -167,18 +123,10 @@ def test_braces_may_be_disconnected_in_tests_that_are_used_together(tmp_path):
 
 # what in the demo is replaced, by what, and what the error says after "campaign file <path>: "
 MISTAKES = [
-    ("lockstep: true", "lockstep: true\ndevice: emulator", "lockstep: true, expected false with a device"),
     ("lockstep: true", "emulator: true", "emulator: true, expected a device that is emulated"),
-    ("lockstep: true", "thread_priority: 99", "thread_priority: 99, expected .*98"),
-    ("lockstep: true", "lockstep: 1", "lockstep: 1, expected true or false"),
     ("name: demo", "name: ../demo", "name: '../demo', expected .*letters, digits"),
     ("name: demo", "name: day-1", "name: 'day-1', expected .*it is the ROS namespace"),
-    ("name: demo", "name: '2026_11_23'", "name: '2026_11_23', expected .*a letter first"),
-    ("name: demo", "name: day__1", "name: 'day__1', expected .*single _"),
-    ("name: demo", "nome: demo", "nome: unknown key"),
-    ("name: demo\n", "", "name: key is missing"),
     ("rig: ncree_three_storey", "rig: ''", "rig: '', expected .*at least 1"),
-    ("duration: 240.0", "duration: 0.0", "step table_noise: test.duration: 0.0, expected .*greater than 0"),
     (
         "duration: 240.0",
         "duration: 240.0\n      disconnected_braces: [1, 1]",
@@ -186,34 +134,10 @@ MISTAKES = [
     ),
     (
         "duration: 240.0",
-        "duration: 240.0\n      disconnected_braces: [0]",
-        "disconnected_braces.0: 0, expected .*equal to 1",
-    ),
-    (
-        "duration: 240.0",
         "duration: 240.0\n      disconnected_braces: [1]",
         r"step model: identify: command_noise has brace groups \[\] disconnected, expected \[1\] as table_noise",
     ),
-    (
-        "identify: {table: table_noise, command: command_noise}",
-        "ambient: {test: command_noise}",
-        r"step model: ambient.test: 'command_noise', expected an earlier test without excitation and controller",
-    ),
-    ("duration: 240.0", "duration: yes", "step table_noise: test.duration: True, expected .*number"),
-    ("duration: 240.0", "duration: .nan", "step table_noise: test.duration: nan, expected"),
-    ("duration: 240.0", "durations: 240.0", "step table_noise: test.durations: unknown key"),
-    ("duration: 240.0", "duration: 240.0\n      colour: red", "step table_noise: test.colour: unknown key"),
-    ("seed: 1}", "seed: 1.0}", r"step table_noise: test.ground_motion.seed: 1.0, expected a whole number"),
-    ("seed: 1}", "seed: -1}", r"step table_noise: test.ground_motion.seed: -1, expected"),
-    (", seed: 1}", "}", r"step table_noise: test.ground_motion.seed: key is missing"),
     ("[0.1, 10.0]", "[10.0, 0.1]", r"ground_motion.band: \[10.0, 0.1\], expected .*the lower one first"),
-    ("[0.0, 30.0]", "[0.0]", "step command_noise: test.excitation.band.1: key is missing"),
-    ("rms: 1800.0", "rms: -1.0", "step command_noise: test.excitation.rms: -1.0, expected one number for all"),
-    (
-        "{record: white_noise, rms: 0.25",
-        "{record: el_centro, rms: 0.25",
-        "step table_noise: test.ground_motion.rms: unknown key",
-    ),
     (
         "{record: white_noise, rms: 0.25, band: [0.1",
         "{record: multisine, rms: 0.25, band: [0.0",
@@ -225,22 +149,12 @@ MISTAKES = [
         "step command_noise: test.excitation: .*expected .*'white_noise', 'multisine'",
     ),
     (
-        "excitation: {rms: 1800.0",
-        "excitation: {signal: multisine, lines: few, rms: 1800.0",
-        "step command_noise: test.excitation.lines: 'few', expected .*'all', 'odd' or 'even'",
-    ),
-    (
         "name: command_noise",
         "name: table_noise",
         "step table_noise: name: 'table_noise', expected a name that no earlier",
     ),
     ("name: model ", "name: a/b ", "step 3: name: 'a/b', expected .*letters, digits"),
     ("design: {model: model, weights: lqg3}", "", "step lqg3: 0 tasks, expected exactly one of test, identify, design"),
-    (
-        "design: {",
-        "test: {duration: 1.0}\n    design: {",
-        "step lqg3: 2 tasks, expected exactly one of test, identify, design",
-    ),
     (
         "{table: table_noise",
         "{table: table_nose",
@@ -252,29 +166,9 @@ MISTAKES = [
         r"step model: identify.command: 'table_noise', expected .* excitation alone \(command_noise\)",
     ),
     (
-        "{table: table_noise",
-        "{table: uncontrolled",
-        r"step model: identify.table: 'uncontrolled', expected an earlier test",
-    ),
-    (
         "design: {model: model",
         "design: {model: lqg3",
         r"step lqg3: design.model: 'lqg3', expected an earlier identify step, or a path \(model\)",
-    ),
-    (
-        "weights: lqg3}",
-        "weights: lqg3, limits: {gain: 3.0}}",
-        "step lqg3: design.limits.gain: unknown key",
-    ),
-    (
-        "weights: lqg3}",
-        "weights: lqg3, limits: {disk_margin: -1.0}}",
-        "step lqg3: design.limits.disk_margin: -1.0, expected .*greater than or equal to 0",
-    ),
-    (
-        "weights: lqg3}",
-        "weights: lqg3, accept: [everything]}",
-        "step lqg3: design.accept.0: 'everything', expected .*'small_gain_margin'",
     ),
     (
         "controller: lqg3\n",
@@ -322,11 +216,6 @@ def test_a_mistake_is_named_with_file_step_key_and_value(tmp_path, written, mist
     assert len(lines) == 1 or lines[0] == f"{len(lines) - 1} mistakes, nothing was started"
 
 
-def test_a_missing_file_is_named():
-    with pytest.raises(AbraceError, match=r"campaign file none\.yaml: No such file"):
-        load_campaign("none.yaml")
-
-
 def of_five_storeys(tmp_path: Path, old: str, new: str) -> Path:
     text = DEMO.with_name("five_storeys.yaml").read_text()
     assert old in text
@@ -342,13 +231,6 @@ def test_the_campaigns_of_several_brace_groups_are_accepted():
         CheckedCampaign(campaign)
 
 
-def test_every_parameter_of_identify_can_stand_in_a_campaign(tmp_path: Path):
-    given = "table: table_noise, command: command_noise, command_order: 14, table_band: [0.5, 20.0], mat: true"
-    path = of_five_storeys(tmp_path, "table: table_noise, command: command_noise", given)
-    task = {step.name: step.task for step in load_campaign(path).steps}["model"]
-    assert task.options == {"command_order": 14, "table_band": [0.5, 20.0], "mat": True}
-
-
 SLOW_TEST = """  - name: slow
     test: {duration: 300.0, ground_motion: {record: white_noise, rms: 0.001, band: [0.05, 0.08], seed: 3}}
   - name: two_tests
@@ -359,17 +241,6 @@ SLOW_TEST = """  - name: slow
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("command: command_noise", "command: command_noise, fit: sk", r"model: identify\.fit: sk of 2 brace groups"),
-        (
-            "command: command_noise",
-            "command: command_noise, command_order: 8",
-            "command_order: 8, expected 0, or an",
-        ),
-        (
-            "command: command_noise",
-            "command: command_noise, table_band: [0.3, 30.0]",
-            "within the 0.1 to 25 Hz of",
-        ),
         ("duration: 300.0", "duration: 40.0", "table_noise has 40 s, expected 60 s at least"),
         ("  - name: model ", SLOW_TEST, r"identify\.table: the bands of table_noise, slow do not overlap"),
     ],
@@ -384,20 +255,6 @@ def test_weights_of_floors_that_a_rig_has_not_are_refused_before_its_tests(tmp_p
     path.write_text(DEMO.read_text().replace("rig: ncree_three_storey", "rig: single_storey"))
     with pytest.raises(AbraceError, match=r"step lqg3: design\.weights: weights: measured: a2, a3, expected some of"):
         CheckedCampaign(load_campaign(path))
-
-
-def test_a_test_is_made_from_the_frame_file_that_its_rig_names(tmp_path):
-    frame, rig, path = (tmp_path / f"{name}.yaml" for name in ("frame", "rig", "campaign"))
-    frame.write_text(find_file("sac_la_20", "abrace_plant", "config/frames", ".yaml", "frame").read_text())
-    own = find_file("sac_la_20", "abrace_plant", "config", ".yaml", "rig").read_text()
-    rig.write_text(own.replace("frame: sac_la_20", f"frame: {frame}"))
-    path.write_text("name: own\nrig: rig.yaml\nsteps: [{name: rest, test: {duration: 5}}]")
-    campaign = load_campaign(path)
-    inputs = Inputs(campaign, Laboratories(campaign))
-    before = inputs.of(0, {})
-    frame.write_text(frame.read_text() + "# changed\n")
-    after = inputs.of(0, {})
-    assert [name for name in before if before[name] != after[name]] == [f"file {frame}"]
 
 
 def test_a_controller_is_designed_again_when_the_model_in_the_folder_has_changed(tmp_path):

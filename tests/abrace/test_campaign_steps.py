@@ -10,11 +10,11 @@ import pytest
 from campaign_file import TOP, day, mistakes_of
 
 from abrace.campaign.drivers import drivers, rig_node
-from abrace.campaign.drives import Record
+from abrace.campaign.drives import RecordMotion
 from abrace.campaign.file import Campaign, RigSetup, load_campaign
 from abrace.campaign.laboratory import Laboratories
 from abrace.campaign.runner import Runner
-from abrace.campaign.tasks import Compare, OwnController, OwnRig, RigTest, Validate
+from abrace.campaign.tasks import Compare, OwnController, OwnRig, Validate
 from abrace_plant.nodes.record_parameters import RECORD_PARAMETERS
 
 MOTION = "{record: el_centro, peak_acceleration: 0.5}"
@@ -29,8 +29,8 @@ def mistakes(folder: Path, *steps: str, top: str = TOP) -> list[str]:
 
 
 def test_a_record_takes_every_treatment_of_the_node_that_plays_it(tmp_path: Path) -> None:
-    known = {row.name for row in RECORD_PARAMETERS} - {"rig", "sample_rate", "duration"}
-    assert set(Record.model_fields) == {"record", *known}
+    known = {row.name for row in RECORD_PARAMETERS} - {"rig", "duration"}
+    assert set(RecordMotion.model_fields) == {"record", *known}
     given = "record: records/own.csv, unit: g, channel: x, baseline: linear, time_scale: 0.5, taper: 2.0, low_cut: 0.1"
     read = campaign(tmp_path, f"{{name: shaken, test: {{duration: 9.0, ground_motion: {{{given}}}}}}}")
     motion = read.tests["shaken"].ground_motion
@@ -74,7 +74,7 @@ def test_a_node_of_the_users_commands_the_braces_with_the_rigs_rate_and_limits(t
 def test_limits_of_a_test_go_after_those_of_its_controllers_file(tmp_path: Path) -> None:
     read = campaign(tmp_path, "{name: a, test: {duration: 9.0, controller: lqg.yaml, force_limit: [9000.0]}}")
     (node,) = drivers(read.tests["a"], Laboratories(read).of(), Path).values()
-    assert (node.parameters, node.files) == ({"force_limit": [9000.0], "rate_limit": 5e6}, (tmp_path / "lqg.yaml",))
+    assert (node.parameters, node.files) == ({"force_limit": [9000.0], "rate_limit": 2.5e6}, (tmp_path / "lqg.yaml",))
 
 
 def test_a_test_may_have_a_rig_of_its_own_a_node_of_the_users_or_the_emulator(tmp_path: Path) -> None:
@@ -105,42 +105,7 @@ def test_a_test_may_have_a_rig_of_its_own_a_node_of_the_users_or_the_emulator(tm
     assert nodes[2].parameters["gain"] == 2
     assert "seed" not in nodes[2].parameters
     assert Path(nodes[3].parameters["device"]).name == "emulator.yaml"
-
-
-def test_steps_are_made_for_every_combination_with_names_that_one_can_tell_before(tmp_path: Path) -> None:
-    matrix = """matrix:
-      motion: {strong: {record: el_centro, peak_acceleration: 1.0}, weak: {record: el_centro, peak_acceleration: 0.25}}
-      law: [own/a.yaml]
-      seed: [1, 2]
-    steps:
-      - {name: free_<motion>, test: {duration: 9.0, ground_motion: <motion>}}
-      - {name: <motion>_<seed>, test: {duration: 9.0, ground_motion: <motion>, controller: <law>, sensor_seed: <seed>}}
-      - {name: <motion>_<seed>_gain, compare: {test: <motion>_<seed>, uncontrolled: free_<motion>}}"""
-    named = matrix.replace("[own/a.yaml]", "{a: own/a.yaml}")
-    read = campaign(tmp_path, named, "{name: last, compare: {test: weak_1, uncontrolled: free_weak}}")
-    names = [step.name for step in read.steps]
-    expected = ["free_strong", "strong_1", "strong_1_gain", "strong_2", "strong_2_gain"]
-    assert names == [*expected, *(name.replace("strong", "weak") for name in expected), "last"]
-    assert read.tests["weak_2"] == RigTest(
-        duration=9.0,
-        ground_motion=Record(record="el_centro", peak_acceleration=0.25),
-        controller=str(tmp_path / "own/a.yaml"),
-        sensor_seed=2,
-    )
-    assert read.steps[4].task == Compare(test="strong_2", uncontrolled="free_strong")
-    assert mistakes(tmp_path, matrix) == [
-        "step 1: matrix.law: ['own/a.yaml'], expected names or numbers, or `name: value` for other values"
-    ]
-
-
-def test_numbers_of_a_matrix_name_steps_with_an_underscore_for_the_point(tmp_path: Path) -> None:
-    matrix = """matrix: {pga: [0.5, 1.25]}
-    steps: [{name: at_<pga>, test: {duration: 9.0, ground_motion: {record: el_centro, peak_acceleration: <pga>}}}]"""
-    read = campaign(tmp_path, matrix)
-    assert [(name, one.ground_motion and one.ground_motion.parameters) for name, one in read.tests.items()] == [
-        ("at_0_5", {"record": "el_centro", "peak_acceleration": 0.5}),
-        ("at_1_25", {"record": "el_centro", "peak_acceleration": 1.25}),
-    ]
+    assert nodes[3].parameters["stop_heartbeat"] == 1.0
 
 
 def test_all_mistakes_of_a_file_are_told_at_once_each_with_its_step_and_key(tmp_path: Path) -> None:
@@ -151,26 +116,20 @@ def test_all_mistakes_of_a_file_are_told_at_once_each_with_its_step_and_key(tmp_
         "{name: c, design: {model: nothing, weights: lqg3}, ambient: {test: a}}",
         "{name: d, test: {duration: 1.0, controller: {run: mine, parameters: {gain: [1, text]}}}}",
         "{name: a, test: {duration: 1.0, controller: none}}",
-        "{matrix: {seed: 3, law: [a]}, steps: [{name: x_<sed>}], more: 1}",
         "name",
         top="rig: {file: five_storey}\nlockstep: 1\nrigg: 2",
     )
     expected = [
-        "15 mistakes, nothing was started",
+        "10 mistakes, nothing was started",
         "rigg: unknown key",
         "rig.run: key is missing",
-        "lockstep: 1, expected true or false",
-        "step 6: more: unknown key, expected matrix and steps",
-        "step 6: matrix.seed: 3, expected a list of values",
-        "step 6: <sed>, expected one of <seed>, <law>",
-        "step 6: matrix.seed: no step has <seed>",
-        "step 6: matrix.law: no step has <law>",
+        "lockstep: 1, expected a valid boolean",
         "step a: test.ground_motion.low_cat: unknown key",
-        "step a: test.duration: -1.0, expected a number greater than 0",
+        "step a: test.duration: -1.0, expected greater than 0",
         "step c: 2 tasks, expected exactly one of test, identify, design, compare, validate, ambient",
         "step d: test.controller.run: 'mine', expected [package, executable], or a file that ends in .py",
         "step d: test.controller.parameters: {'gain': [1, 'text']}, expected",
-        "step 7: as a whole: expected keys and values",
+        "step 6: as a whole: expected keys and values",
     ]
     for line in expected:
         assert any(one.startswith(line) for one in found), f"{line} in {found}"

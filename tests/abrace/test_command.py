@@ -2,11 +2,13 @@
 """The `abrace` command as a program: how it begins and ends."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
-SCRIPT = Path(__file__).parents[2] / "src/abrace/scripts/abrace"
+ROOT = Path(__file__).parents[2] / "src/abrace"
+SCRIPT, PROGRAM = ROOT / "scripts/abrace", ROOT / "abrace/__main__.py"
 INTERRUPTED = """
 import os, signal, time
 {before}
@@ -20,6 +22,7 @@ INTERRUPT = "os.kill(os.getpid(), signal.SIGINT); time.sleep(9.0)"
 def ended(folder: Path, before: str, within: str) -> tuple[int, str]:
     (folder / "abrace").mkdir()
     (folder / "abrace/__init__.py").write_text("")
+    shutil.copy(PROGRAM, folder / "abrace")
     (folder / "abrace/cli.py").write_text(INTERRUPTED.format(before=before, within=within))
     environment = {**os.environ, "PYTHONPATH": str(folder)}
     ran = subprocess.run([sys.executable, SCRIPT], capture_output=True, text=True, check=False, env=environment)

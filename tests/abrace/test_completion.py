@@ -24,12 +24,13 @@ TYPED = {
     "run abrace_pl": {"abrace_plant"},
     "run abrace_plant gro": {"ground_motion"},
     "campaign five_": {"five_controllers", "five_storeys"},
+    "campaign demo --from com": {"command_noise", "comparison"},
     "benchmark sac_": {"sac_la_3", "sac_la_9", "sac_la_20"},
     "bag csv B --out": {"--output"},
 }
 
 
-def test_a_shell_completes_commands_packages_executables_campaigns_and_options(tmp_path):
+def test_a_shell_completes_commands_packages_executables_campaigns_steps_and_options(tmp_path):
     command = ["bash", "--norc", "-ic", PRESS, "bash", SETUP, *TYPED]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
     lines = ended.stdout.splitlines()

@@ -3,35 +3,31 @@
 
 from __future__ import annotations
 
-import importlib.util
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import fit_weights
 import numpy as np
 import pytest
-from identification_speed import write_bag
 from laboratory import Laboratory
 from scipy import linalg
 
-from abrace_core.response import TABLE_1_EXPERIMENT, PeakRms, in_paper_units, mean_relative_error, peak_rms_of
-from abrace_core.simulation import simulate_closed_loop
+from abrace_core.model.response import PeakRms, in_paper_units, peak_rms_of
+from abrace_core.model.simulation import simulate_closed_loop
 from abrace_lqg.analysis.margins import margins
 from abrace_lqg.analysis.mode_damping import mode_effects
 from abrace_lqg.design import ControllerDesign, design
-from abrace_lqg.loop import closed_loop_poles, sampled
+from abrace_lqg.loop import sampled
 from abrace_lqg.weights import Weights, load_weights
 from abrace_plant.records.files import read_record
-from abrace_plant.records.treatment import Treatment, prepare
+from abrace_plant.records.options import Treatment
+from abrace_plant.records.treatment import prepare
 from abrace_plant.rig.file import load_rig
 from abrace_sysid.identification import Identification, identify
 
 if TYPE_CHECKING:
-    from types import ModuleType
-
     from numpy.typing import NDArray
 
-    from abrace_core.linear_model import LinearModel
     from abrace_plant.rig.model import Rig
 
 SOURCES = Path(__file__).parents[2] / "src"
@@ -64,104 +60,57 @@ def designs(identified: Identification) -> Designs:
 
 
 @pytest.fixture(scope="module")
-def models(rig: Rig, identified: Identification) -> dict[str, LinearModel]:
-    return {"consistent": identified.model, "superposed": identified.superposed, "rig": rig.model}
-
-
-@pytest.fixture(scope="module")
 def el_centro(rig: Rig) -> NDArray[np.float64]:
     return prepare(read_record("el_centro"), rig.sample_rate, Treatment(peak_acceleration=0.980665, duration=100.0))
 
 
 @pytest.fixture(scope="module")
-def tables(
-    rig: Rig, designs: Designs, models: dict[str, LinearModel], el_centro: NDArray[np.float64]
-) -> dict[str, dict[str, Table]]:
-    """By controller and model: El Centro at 0.1 g in Table 1's rows and units."""
+def tables(rig: Rig, designs: Designs, el_centro: NDArray[np.float64]) -> dict[str, Table]:
+    """By controller: El Centro at 0.1 g on the rig in Table 1's rows and units."""
 
-    def table(plant: LinearModel, designed: ControllerDesign) -> Table:
+    def table(designed: ControllerDesign) -> Table:
         found = simulate_closed_loop(plant, designed.controller, el_centro, rig.capacity, designed.correction)
         return in_paper_units(peak_rms_of((*plant.outputs, "U"), np.hstack(found)))
 
-    plants = {title: sampled(model, 0.002) for title, model in models.items()}
-    return {name: {title: table(plant, designs[name]) for title, plant in plants.items()} for name in NAMES}
+    plant = sampled(rig.model, 0.002)
+    return {name: table(designed) for name, designed in designs.items()}
 
 
-@pytest.mark.parametrize("title", ["consistent", "rig"])
-def test_lqg3_gives_table_1s_experiment(tables: dict[str, dict[str, Table]], title: str):
-    table = tables["lqg3"][title]
-    assert mean_relative_error(table, TABLE_1_EXPERIMENT) < 0.042
-    cells = [np.abs(np.array(table[name]) / row - 1).max() for name, row in TABLE_1_EXPERIMENT.items()]
-    assert max(cells) < 0.118
-
-
-@pytest.mark.parametrize("title", ["consistent", "superposed", "rig"])
-def test_the_force_exceeds_the_command_as_in_table_1_by_itself(tables: dict[str, dict[str, Table]], title: str):
-    # f/U follows from the actuator's velocity feedback: 1.05 to 1.07 in the paper
-    table = tables["lqg3"][title]
-    assert 1.04 < table["f"].rms / table["U"].rms < 1.08
-
-
-@pytest.mark.parametrize("title", ["consistent", "superposed", "rig"])
 @pytest.mark.parametrize("name", NAMES)
-def test_each_controller_keeps_its_distance_from_instability(
-    designs: Designs, models: dict[str, LinearModel], name: str, title: str
-):
-    found = margins(models[title], designs[name].controller)
-    assert found.gain > 8
-    assert found.phase > 45
+def test_each_controller_keeps_its_distance_from_instability(rig: Rig, designs: Designs, name: str):
+    found = margins(rig.model, designs[name].controller)
+    assert found.gain_db > 8
+    assert found.phase_deg > 45
     assert found.delay > 0.015
     assert found.sensitivity_peak < 2
 
 
-@pytest.mark.parametrize("title", ["consistent", "rig"])
 @pytest.mark.parametrize("name", NAMES)
-def test_no_controller_reduces_the_damping_of_a_mode_much(
-    designs: Designs, models: dict[str, LinearModel], name: str, title: str
-):
-    effects = mode_effects(models[title], designs[name].controller, designs[name].design_model)
+def test_no_controller_reduces_the_damping_of_a_mode_much(rig: Rig, designs: Designs, name: str):
+    effects = mode_effects(rig.model, designs[name].controller, designs[name].design_model)
     local = [effect for effect in effects if effect.frequency > 50 and effect.damping < 0.1]
     np.testing.assert_allclose([effect.frequency for effect in local], [56.55, 105.28, 135.07], rtol=0.002)
     for effect in effects:
         assert effect.damping_kept > 0.85, f"mode at {effect.frequency:.1f} rad/s"
 
 
-def test_lqg3_damps_the_building(designs: Designs, rig: Rig):
-    building = [
-        damping for frequency, damping in closed_loop_poles(rig.model, designs["lqg3"].controller) if frequency < 45
-    ]
-    assert min(building) > 0.18
-
-
-@pytest.mark.parametrize("title", ["consistent", "rig"])
-def test_peak_commands_are_those_stated_in_the_files(tables: dict[str, dict[str, Table]], title: str):
-    found = [tables[name][title]["U"].peak for name in NAMES]
+def test_peak_commands_are_those_stated_in_the_files(tables: dict[str, Table]):
+    found = [tables[name]["U"].peak for name in NAMES]
     np.testing.assert_allclose(found, [681, 1121, 1479, 866, 1525], rtol=0.005)
 
 
-@pytest.mark.parametrize("title", ["consistent", "rig"])
-def test_a_larger_command_leaves_less_response(tables: dict[str, dict[str, Table]], title: str):
+def test_a_larger_command_leaves_less_response(tables: dict[str, Table]):
     for row in ("x1", "x2", "x3", "a1", "a2", "a3"):
-        one, two, three, four, five = (tables[name][title][row].rms for name in NAMES)
+        one, two, three, four, five = (tables[name][row].rms for name in NAMES)
         assert one > two > three, row
         assert four > five, row
 
 
-@pytest.mark.parametrize("title", ["consistent", "rig"])
-def test_with_one_sensor_instead_of_three_a_larger_command_holds_the_floors_less(
-    tables: dict[str, dict[str, Table]], title: str
-):
-    three, one = tables["lqg3"][title], tables["lqg5"][title]
+def test_with_one_sensor_instead_of_three_a_larger_command_holds_the_floors_less(tables: dict[str, Table]):
+    three, one = tables["lqg3"], tables["lqg5"]
     assert one["U"].peak > three["U"].peak
     for row in ("x1", "x2", "x3"):
         assert one[row].rms > three[row].rms, row
-
-
-def test_the_models_of_both_kinds_agree_with_the_rig_in_closed_loop(tables: dict[str, dict[str, Table]]):
-    for name in NAMES:
-        rig = np.array(list(tables[name]["rig"].values()))
-        np.testing.assert_allclose(list(tables[name]["consistent"].values()), rig, rtol=0.02)
-        np.testing.assert_allclose(list(tables[name]["superposed"].values()), rig, rtol=0.05)
 
 
 def test_the_other_four_weigh_as_lqg3_but_for_one_factor():
@@ -176,18 +125,7 @@ def test_the_other_four_weigh_as_lqg3_but_for_one_factor():
         assert weights.measured == (["a1", "a2", "a3"] if name in ("lqg1", "lqg2") else ["a1"])
 
 
-@pytest.fixture(scope="module")
-def fit_weights() -> ModuleType:
-    """The script that found the weights."""
-    spec = importlib.util.spec_from_file_location("fit_weights", SOURCES / "abrace/scripts/fit_weights.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_the_script_writes_what_the_file_has(fit_weights: ModuleType):
+def test_the_script_writes_what_the_file_has():
     found, kept = fit_weights.weights_of([4.69, 7.738, 7.768, 8.211, -0.661]), weights_file("lqg3")
     signals = ["x1", "xf", "a1", "a2", "a3", "f", "U"]
     np.testing.assert_allclose(found.diagonal(signals), kept.diagonal(signals), rtol=1e-3)
@@ -195,8 +133,8 @@ def test_the_script_writes_what_the_file_has(fit_weights: ModuleType):
     assert found.measured == kept.measured
 
 
-def test_the_search_finds_nothing_better_next_to_lqg3(
-    fit_weights: ModuleType, rig: Rig, identified: Identification, el_centro: NDArray[np.float64]
+def test_no_single_weight_of_lqg3_that_is_a_quarter_greater_or_smaller_is_better(
+    rig: Rig, identified: Identification, el_centro: NDArray[np.float64]
 ):
     trial = fit_weights.Trial(sampled(identified.model, 0.002), el_centro, rig.capacity)
 
@@ -210,71 +148,11 @@ def test_the_search_finds_nothing_better_next_to_lqg3(
         assert criterion(found + step) > least
 
 
-def test_the_search_goes_on_from_its_start_to_a_smaller_criterion(
-    monkeypatch: pytest.MonkeyPatch,
-    fit_weights: ModuleType,
-    rig: Rig,
-    identified: Identification,
-    el_centro: NDArray[np.float64],
-):
-    trial = fit_weights.Trial(sampled(identified.model, 0.002), el_centro, rig.capacity)
-    monkeypatch.setattr(fit_weights, "SEARCHES", 1)
-    monkeypatch.setattr(fit_weights, "EVALUATIONS", 20)
-    found = fit_weights.search(identified.reduced, trial)
-
-    def error(unknowns: NDArray[np.float64]) -> float:
-        designed = design(identified.reduced, fit_weights.weights_of(unknowns), 0.002)
-        return mean_relative_error(trial.table(designed), TABLE_1_EXPERIMENT)
-
-    assert not np.allclose(found, fit_weights.START), "expected a step from the start"
-    assert error(found) < 0.05, "expected weights near LQG3's"
-
-
-def test_the_script_runs_from_two_bags_to_the_weights_of_all_five(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    fit_weights: ModuleType,
-    rig: Rig,
-):
-    """With a shorter search, shorter tests and one other seed: every call of it."""
-    for name, value in {"SEARCHES": 1, "EVALUATIONS": 8, "TEST_LENGTH": 60.0, "OTHER_SEEDS": (72,)}.items():
-        monkeypatch.setattr(fit_weights, name, value)
-    laboratory = Laboratory(rig, SEED)
-    bags = [tmp_path / "table", tmp_path / "command"]
-    for bag, test in zip(bags, (laboratory.table_test(60), laboratory.command_test(60)), strict=True):
-        write_bag(bag, test, rig.name)
-    monkeypatch.setattr("sys.argv", ["fit_weights.py", *map(str, bags)])
-    fit_weights.main()
-    said = capsys.readouterr().out
-    for name in NAMES:
-        assert f"\n{name}: displacement " in said
-    for title in ("consistent model", "superposed model", "other tests 1", "the rig"):
-        assert said.count(f"  {title}: mean error 0.") == len(NAMES), title
-    assert "damping kept" in said
-    for half in ("peak", "rms"):
-        assert f"fitted to the column {half} alone: [" in said
-
-
-def test_the_script_asks_for_two_bags_or_none(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], fit_weights: ModuleType
-):
+def test_the_script_asks_for_two_bags_or_none(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     monkeypatch.setattr("sys.argv", ["fit_weights.py", "one"])
     with pytest.raises(SystemExit, match="2"):
         fit_weights.main()
     assert "1 bags, expected a table test and a command test, or none" in capsys.readouterr().err
-
-
-def test_the_gain_margin_is_where_the_rig_becomes_unstable(rig: Rig, designs: Designs):
-    controller = designs["lqg3"].controller
-    edge = 10 ** (margins(rig.model, controller).gain / 20)
-
-    def least_damping(factor: float) -> float:
-        law = replace(controller, c=factor * controller.c, d=factor * controller.d)
-        return min(damping for _, damping in closed_loop_poles(rig.model, law))
-
-    assert least_damping(0.999 * edge) > 0
-    assert least_damping(1.001 * edge) < 0
 
 
 def test_the_riccati_equations_of_the_rig_are_solved_in_si_units(rig: Rig):

@@ -5,11 +5,10 @@ from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from lifecycle_msgs.msg import Transition
 
 from abrace.nodes.graph_monitor import GraphMonitor
 from abrace.report.node_table import MOST_NODES
-from abrace_core.errors import RunFailed
+from abrace_core import RunFailed
 
 
 def monitor(monkeypatch: pytest.MonkeyPatch, *, answered: bool) -> GraphMonitor:
@@ -24,12 +23,12 @@ def monitor(monkeypatch: pytest.MonkeyPatch, *, answered: bool) -> GraphMonitor:
 
 def test_a_refused_transition_is_named_in_words(monkeypatch):
     with pytest.raises(RunFailed, match=r"^plant refused to configure$"):
-        monitor(monkeypatch, answered=True).configure("plant", 1.0, lambda: None)
+        monitor(monkeypatch, answered=True).change_state("plant", "configure", 1.0, lambda: None)
 
 
 def test_a_transition_that_is_not_answered_is_named_in_words(monkeypatch):
     with pytest.raises(RunFailed, match=r"^plant did not deactivate within 0.01 s$"):
-        monitor(monkeypatch, answered=False).change_state("plant", Transition.TRANSITION_DEACTIVATE, 0.01, lambda: None)
+        monitor(monkeypatch, answered=False).change_state("plant", "deactivate", 0.01, lambda: None)
 
 
 def status(name: str, level: bytes = DiagnosticStatus.OK) -> DiagnosticStatus:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from rehearsal import Cause, controller, el_centro, rehearse
 
-from abrace_core.signals import channel_names
+from abrace_core.model.signals import channel_names
 from abrace_lqg.weights import load_weights
 from abrace_plant.rig.file import load_rig
-from abrace_plant.rig.limits import TIMES
+from abrace_plant.rig.limits import INTERLOCKS
 
 SOURCE = Path(__file__).parents[2] / "src"
 LQG3 = load_weights(SOURCE / "abrace_lqg/config/lqg3.yaml")
@@ -32,10 +32,10 @@ def test_every_interlock_has_a_margin_in_el_centro_with_and_without_control(rig,
         found = rehearse(rig, el_centro(500.0, 12.0), law=law)
         assert found.trip is None, str(found.trip)
         assert max(found.utilisation.values()) < 0.85
-        assert list(found.utilisation) == list(TIMES)
+        assert list(found.utilisation) == list(INTERLOCKS)
 
 
-@pytest.mark.parametrize("channel", NAMES)
+@pytest.mark.parametrize("channel", ["x2", "xf", "a1", "fb"])
 @pytest.mark.parametrize("kind", ["stuck", "zero", "noise"])
 def test_a_failing_sensor_trips_within_a_tenth_of_a_second(rig, lqg3, channel, kind):
     cause = Cause(3.0, f"{channel}={kind}")

@@ -6,8 +6,8 @@ import pytest
 import scipy.linalg
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from abrace_core.errors import AbraceError
-from abrace_core.one_thread import one_thread
+from abrace_core import AbraceError
+from abrace_core.model.one_thread import one_thread
 
 
 def threads() -> set[int]:
@@ -36,11 +36,11 @@ def test_linear_algebra_has_one_thread_within_and_as_many_as_before_after_an_err
 @pytest.mark.parametrize(
     ("module", "function", "called", "given"),
     [
-        ("identification", "identify", "runs_of", ("table", "command")),
-        ("data", "identify_ambient", "runs_of", ("quiet",)),
-        ("data", "identify_data", "read_data", ("data.csv",)),
+        ("identification", "identify", "identification.identify", ("table", "command")),
+        ("data", "identify_ambient", "AmbientOptions.read", ("quiet",)),
+        ("data", "identify_data", "DataOptions.read", ("data.csv", ["u"])),
         ("controllers", "design", "model_of", ("model.json", "weights.yaml")),
-        ("validation", "validate", "runs_of", ("test", "model.json")),
+        ("validation", "validate", "given_tests", ("test", "model.json")),
     ],
 )
 def test_what_takes_long_in_python_has_one_thread(module, function, called, given, monkeypatch):
@@ -51,7 +51,7 @@ def test_what_takes_long_in_python_has_one_thread(module, function, called, give
         raise AbraceError("seen")
 
     where = importlib.import_module(f"abrace.interactive.{module}")
-    monkeypatch.setattr(where, called, seen)
+    monkeypatch.setattr(f"abrace.interactive.{module}.{called}", seen)
     with pytest.raises(AbraceError, match="seen"):
         getattr(where, function)(*given)
     assert found == [{1}]

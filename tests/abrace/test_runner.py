@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -15,9 +16,9 @@ from abrace.campaign.done import DoneSteps
 from abrace.campaign.drivers import NodeStart
 from abrace.campaign.file import load_campaign
 from abrace.campaign.laboratory import Laboratories
-from abrace.campaign.runner import Runner, unless_over
+from abrace.campaign.runner import Runner, explained_by, unless_over
 from abrace.processes.group import NodeDied, ProcessGroup
-from abrace_core.errors import AbraceError, RunFailed
+from abrace_core import AbraceError, RunFailed
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -126,3 +127,13 @@ def test_a_rig_that_has_finished_before_it_answers_is_no_failure_and_any_other_e
     for node, code in (("plant", 1), ("logger", 0)):
         with pytest.raises(NodeDied, match=node):
             ended(node, code)
+
+
+def test_a_request_that_a_node_refuses_is_explained_by_its_last_line(tmp_path):
+    with ProcessGroup() as group:
+        node = group.start("plant", ["echo", "configure refused: no rig"], tmp_path / "plant.log")
+        while group.poll() is None:
+            time.sleep(0.01)
+        expected = r"^plant refused to configure; the last line of .*plant\.log: configure refused: no rig$"
+        with pytest.raises(RunFailed, match=expected), explained_by(node):
+            raise RunFailed("plant refused to configure")

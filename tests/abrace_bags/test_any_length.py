@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import resource
-import shutil
 import tracemalloc
 import zlib
 from pathlib import Path
@@ -14,17 +13,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import zstandard
+from bag_contents import read_topics
 from mcap.records import Chunk
 from mcap.writer import CompressionType, Writer
-from mcap_chunks import chunk_indexes, chunk_offsets
+from mcap_chunks import chunk_indexes, chunk_offsets, without_end
 from reference_messages import DEFINITIONS, RESPONSE, STRING, note, response_message, serialised
 
-from abrace_bags import BagWriter, read_facts, read_topics, recover
-from abrace_bags.description import describe
-from abrace_bags.export import write_csv
+from abrace_bags import Bag, BagWriter, TopicParts, describe, file_attachments, merge, recover, trim, write_csv
 from abrace_bags.mcap.chunk import unpack
 from abrace_bags.mcap.records import LARGEST_CHUNK, DamagedError, record_bytes
-from abrace_bags.parts import TopicParts
 from abrace_bags.playback import bag_to_replay
 
 if TYPE_CHECKING:
@@ -37,7 +34,7 @@ PER_CHUNK = 20
 
 def write_bag(directory: Path, samples: int = SAMPLES, first: int = 0) -> Path:
     """Responses, 20 a chunk, stored as they are; returns the MCAP file."""
-    with BagWriter(directory, {"rig": "ncree"}, compression="none") as bag:
+    with BagWriter(directory, {"rig": "ncree"}) as bag:
         topic = bag.add_topic("/response", RESPONSE, DEFINITIONS[RESPONSE], "")
         for k in range(samples):
             values = np.random.default_rng(k).normal(size=10)
@@ -67,7 +64,7 @@ def sequence(path: Path) -> list[int]:
 def sparse(path: Path, size: int) -> bytes:
     """Cut off the end of a bag's file, and give it this `size` by zeros; returns what is left of it."""
     content = path.read_bytes()
-    content = content[: content.rindex(b"serialized_metadata") - 30]
+    content = without_end(content)
     path.write_bytes(content)
     with path.open("r+b") as file:
         file.truncate(size)
@@ -105,34 +102,12 @@ def test_a_chunk_that_would_fill_the_memory_is_left_out(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag")
     whole = path.read_bytes()
     indexes = chunk_indexes(path)
-    cut = whole[: whole.rindex(b"serialized_metadata") - 30]
+    cut = without_end(whole)
     begin = indexes[3].chunk_start_offset
     path.write_bytes(cut[:begin] + record_bytes(bombs[0]) + cut[begin:])
     with memory(200):
         assert sequence(path) == list(range(SAMPLES))
         assert any("does not unpack" in warning for warning in read_topics(path).warnings)
-
-
-def test_a_flipped_bit_anywhere_in_a_sparse_gigabyte_costs_no_more_than_its_chunk(tmp_path: Path) -> None:
-    path = write_bag(tmp_path / "bag")
-    chunks = [(one.chunk_start_offset, one.chunk_start_offset + one.chunk_length) for one in chunk_indexes(path)]
-    content = sparse(path, GB)
-    chosen = np.random.default_rng(3)
-    costly = 0
-    for _ in range(6):
-        offset, bit = int(chosen.integers(30, chunks[-1][1])), 1 << int(chosen.integers(8))
-        with path.open("r+b", buffering=0) as file, memory(300):
-            file.seek(offset)
-            file.write(bytes([content[offset] ^ bit]))
-            found = sequence(path)
-            file.seek(offset)
-            file.write(bytes([content[offset]]))
-        untouched = SAMPLES - PER_CHUNK * sum(begin <= offset < end for begin, end in chunks)
-        costly += untouched < SAMPLES
-        assert len(found) >= untouched, f"byte {offset}"
-        assert len(set(found)) == len(found), f"byte {offset}"
-        assert set(found) <= set(range(SAMPLES)), f"byte {offset}"
-    assert costly > 2, "most bits are in chunks"
 
 
 def test_messages_after_the_end_of_time_are_left_out_and_the_others_recovered(tmp_path: Path) -> None:
@@ -152,71 +127,14 @@ def test_messages_after_the_end_of_time_are_left_out_and_the_others_recovered(tm
     recovered = recover(path, tmp_path / "whole")
     assert recovered.counts == {"/note": 2}
     assert any("3 messages are left out" in warning for warning in recovered.warnings)
-    assert [message.log_time for message in bag_to_replay(str(path), [], 0.0, 0.0).read()] == [5, 9]
-
-
-@pytest.mark.parametrize("closed", [True, False])
-def test_a_copied_file_is_not_read_twice(tmp_path: Path, closed: bool) -> None:
-    path = write_bag(tmp_path / "bag")
-    if not closed:
-        (tmp_path / "bag/metadata.yaml").unlink()
-    shutil.copy(path, path.with_name("bag_0 (copy).mcap"))
-    shutil.copy(path, path.with_name("old.mcap"))
-    contents = read_topics(tmp_path / "bag")
-    assert contents["/response"].fields["sequence"].tolist() == list(range(SAMPLES))
-    assert [warning.split(": is not read")[0] for warning in contents.warnings] == [
-        str(path.with_name(name)) for name in ("bag_0 (copy).mcap", "old.mcap")
-    ]
-    assert recover(tmp_path / "bag", tmp_path / "whole").counts == {"/response": SAMPLES}
-    assert describe(tmp_path / "bag").topics[0].count == SAMPLES
-
-
-def test_facts_of_a_foreign_file_are_looked_for_in_its_index(tmp_path: Path) -> None:
-    path = tmp_path / "foreign.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=1000)
-        writer.start("ros2")
-        topic = writer.register_channel("/note", "cdr", writer.register_schema(STRING, "ros2msg", b"string data\n"))
-        for k in range(1000):
-            writer.add_message(topic, k, note("x" * 100), k)
-        writer.add_metadata("someone's", {"key": "text"})
-        writer.finish()
-    content = bytearray(path.read_bytes())
-    for offset in chunk_offsets(path)[1:]:  # reading on behind one of them would end there
-        content[offset + 1 : offset + 9] = b"\xff" * 8
-    path.write_bytes(content)
-    assert read_facts(path) == {}
-    with path.open("r+b") as file:  # without an index the file is walked through, damage ends it
-        file.truncate(len(content) - 30)
-    assert read_facts(path) == {}
-
-
-def spoil(path: Path, kept: range) -> None:
-    """Damage all chunks but those of these numbers."""
-    content = bytearray(path.read_bytes())
-    for number, offset in enumerate(chunk_offsets(path)):
-        if number not in kept:
-            content[offset + 200] ^= 0xFF
-    path.write_bytes(content)
-
-
-def test_replay_and_export_of_a_part_read_its_chunks_alone(tmp_path: Path) -> None:
-    path = write_bag(tmp_path / "bag", first=928)
-    spoil(path, range(4))
-    part = bag_to_replay(str(tmp_path / "bag"), [], 20e-6, 40e-6)
-    assert (part.count, part.warnings) == (40, ())
-    assert [message.log_time for message in part.read()] == list(range(20_000, 60_000, 1000))
-    parts = TopicParts(tmp_path / "bag", "/response", 20_000, 60_000)
-    assert [number for one in parts for number in one.fields["sequence"].tolist()] == list(range(948, 988))
-    assert parts.warnings == []
-    assert bag_to_replay(str(tmp_path / "bag"), [], 0.0, 0.0).warnings, "could fail"
+    assert [message.log_time for message in bag_to_replay(str(path), [], 0.0, 0.0)] == [5, 9]
 
 
 def test_a_description_reads_the_ends_alone_unless_it_is_to_check(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", first=928)
     whole = describe(tmp_path / "bag")
-    (topic,) = whole.topics
-    assert (topic.count, topic.first, topic.gaps, topic.missing, topic.lost) == (SAMPLES, 928, 0, 0, 0)
+    (topic,) = whole.contents.values()
+    assert (topic.messages, topic.first_number, topic.gaps, topic.missing, topic.lost) == (SAMPLES, 928, 0, 0, 0)
     assert (whole.begin, whole.end) == (0, 399_000)
     assert describe(tmp_path / "bag", check=True) == whole
     content = bytearray(path.read_bytes())
@@ -224,28 +142,66 @@ def test_a_description_reads_the_ends_alone_unless_it_is_to_check(tmp_path: Path
     path.write_bytes(content)
     assert describe(tmp_path / "bag") == whole
     checked = describe(tmp_path / "bag", check=True)
-    assert checked.topics[0].missing == PER_CHUNK
+    assert checked.contents["/response"].missing == PER_CHUNK
     assert any("20 of 400 messages of /response are missing" in warning for warning in checked.warnings)
 
 
 def test_a_bag_is_replayed_recovered_and_exported_in_a_fraction_of_its_size(tmp_path: Path) -> None:
     text = np.random.default_rng(1).bytes(30_000).hex()
-    with BagWriter(tmp_path / "bag", {}, compression="none", split_size=10_000_000) as bag:
+    with BagWriter(tmp_path / "bag", {}, split_size=5_000_000) as bag:
         topic = bag.add_topic("/note", STRING, DEFINITIONS[STRING], "")
-        for k in range(500):
+        for k in range(250):
             bag.write(topic, note(text), k, k)
     (tmp_path / "bag/metadata.yaml").unlink()
     tracemalloc.start()
     try:
-        assert (
-            sum(zlib.crc32(one.payload) > 0 for one in bag_to_replay(str(tmp_path / "bag"), [], 0.0, 0.0).read()) == 500
-        )
-        assert recover(tmp_path / "bag", tmp_path / "whole").counts == {"/note": 500}
-        assert describe(tmp_path / "bag", check=True).topics[0].count == 500
+        assert sum(zlib.crc32(one.payload) > 0 for one in bag_to_replay(str(tmp_path / "bag"), [], 0.0, 0.0)) == 250
+        assert recover(tmp_path / "bag", tmp_path / "whole").counts == {"/note": 250}
+        assert merge(tmp_path / "both", [tmp_path / "bag", tmp_path / "whole"]).counts == {"/note": 500}
+        assert trim(tmp_path / "whole", tmp_path / "part", [], 1e-7).counts == {"/note": 150}
+        assert describe(tmp_path / "bag", check=True).contents["/note"].messages == 250
         replayed = tracemalloc.get_traced_memory()[1]
-        write_csv(tmp_path / "out.csv", TopicParts(tmp_path / "bag", "/note"))
+        write_csv(tmp_path / "out.csv", TopicParts(Bag(tmp_path / "bag").raw(["/note"])))
     finally:
         exported = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
     assert replayed < 10e6, "of 30 MB"
     assert exported < 60e6, "parts of 4 MB, whose text takes four times as much"
+
+
+def test_attachments_take_no_memory_until_they_are_asked_for(tmp_path: Path) -> None:
+    (tmp_path / "record.bin").write_bytes(bytes(50_000_000))
+    with BagWriter(tmp_path / "bag", {}, attachments=file_attachments([tmp_path / "record.bin"])) as bag:
+        bag.write(bag.add_topic("/note", STRING, DEFINITIONS[STRING], ""), note("a"), 1, 1)
+    path = tmp_path / "bag/bag_0.mcap"
+    content = path.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[:-20])
+    tracemalloc.start()
+    try:
+        for one in (path, tmp_path / "cut.mcap"):
+            opened = Bag(one)
+            assert opened.arrays()["/note"].fields["data"].tolist() == ["a"]
+            assert [(attachment.name, attachment.size) for attachment in opened.attachments] == [
+                ("record.bin", 50_000_000)
+            ]
+        assert tracemalloc.get_traced_memory()[1] < 10e6
+    finally:
+        tracemalloc.stop()
+    assert opened.attachments[0].data == bytes(50_000_000)
+
+
+def test_texts_take_a_small_multiple_of_their_bytes(tmp_path: Path) -> None:
+    texts = [f"{k:05} " + "x" * (k % 1000) for k in range(16_000)]
+    with BagWriter(tmp_path / "bag", {}) as bag:
+        topic = bag.add_topic("/note", STRING, DEFINITIONS[STRING], "")
+        for k, text in enumerate(texts):
+            bag.write(topic, note(text), k, k)
+    size = sum(map(len, texts))
+    tracemalloc.start()
+    try:
+        found = Bag(tmp_path / "bag").arrays()["/note"].fields["data"]
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert found.tolist() == texts
+    assert peak < 5 * size, f"{peak / size:.1f} times the bytes of the texts"

@@ -11,7 +11,7 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from abrace_bags import message_definition
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -4,18 +4,22 @@
 from __future__ import annotations
 
 import struct
+import time
 from typing import TYPE_CHECKING, Any
 
+import lz4.frame  # type: ignore[import-untyped]
 import mcap.writer
-import numpy as np
 import pytest
 import zstandard
+from bag_contents import read_topics
+from mcap.records import Channel
 from mcap.writer import CompressionType, IndexType, Writer
 from mcap_chunks import chunk_offsets
+from mcap_variants import inputs, text_message, variant
 
-from abrace_bags import read_facts, read_topics, recover
-from abrace_bags.raw import read_raw
-from abrace_core.errors import AbraceError
+from abrace_bags import Bag, recover
+from abrace_bags.topics import printable
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -88,29 +92,6 @@ def test_damaged_chunk_costs_itself_alone_where_no_chunk_is_indexed(tmp_path: Pa
     assert any("/early" in warning for warning in contents.warnings), contents.warnings
 
 
-def test_chunk_that_passes_for_an_unknown_record_is_missed_by_topic(tmp_path: Path) -> None:
-    options: dict[str, Any] = {"index_types": IndexType.NONE, "use_statistics": False}
-    offset = chunk_offsets(write(tmp_path / "whole.mcap"))[2]
-    path = write(tmp_path / "bag.mcap", **options)
-    content = bytearray(path.read_bytes())
-    content[offset] ^= 0x80
-    path.write_bytes(content)
-    contents = read_topics(path)
-    lost = 60 - contents["/early"].log_time.size
-    assert lost > 0
-    assert any(f"/early: {lost} of the samples 0 to 59 are missing" in warning for warning in contents.warnings)
-
-
-def test_header_that_passes_for_a_message_costs_nothing(tmp_path: Path) -> None:
-    path = write(tmp_path / "bag.mcap")
-    content = bytearray(path.read_bytes())
-    content[8] ^= 4
-    path.write_bytes(content)
-    contents = read_topics(path)
-    assert contents["/early"].log_time.size == 60
-    assert any("damaged at byte 8 " in warning for warning in contents.warnings)
-
-
 @pytest.mark.parametrize("bit", [20, 33, 47, 62, 63])
 def test_chunk_that_says_it_is_huge_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bit: int) -> None:
     unsized = zstandard.ZstdCompressor(write_content_size=False)
@@ -158,23 +139,12 @@ def test_definitions_that_differ_in_comments_are_one_type_in_the_order_of_time(t
     assert read_topics(path)["/one"].log_time.tolist() == [99, 100]
     assert recover(path, tmp_path / "whole").counts == {"/one": 2}
     path = write_definitions(tmp_path / "other.mcap", *same, ("/one", "float32 a\nfloat32 b\n", FLOATS))
-    assert any("/one is left out: has messages of" in warning for warning in read_topics(path).warnings)
+    contents = read_topics(path)
+    assert contents["/one"].fields["a"].tolist() == [1.5, 1.5]
+    assert any("messages of topic /one are left out: they are of another" in one for one in contents.warnings)
     recovered = recover(path, tmp_path / "first")
     assert recovered.counts == {"/one": 2}
-    assert any("is another test_msgs/msg/Odd" in warning for warning in recovered.warnings)
-
-
-def test_messages_out_of_order_are_read_in_the_order_of_their_times(tmp_path: Path) -> None:
-    with (tmp_path / "bag.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start("ros2")
-        schema = writer.register_schema("test_msgs/msg/Numbered", "ros2msg", NUMBERED.encode())
-        topic = writer.register_channel("/numbers", "cdr", schema)
-        for time in (50, 30, 90, 10):
-            writer.add_message(topic, time, number(time), time)
-        writer.finish()
-    numbers = read_topics(tmp_path / "bag.mcap")["/numbers"]
-    assert numbers.log_time.tolist() == numbers.fields["sequence"].tolist() == [10, 30, 50, 90]
+    assert any("of another test_msgs/msg/Odd" in warning for warning in recovered.warnings)
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"SQLite format 3\0"])
@@ -188,44 +158,22 @@ def test_file_that_is_none_does_not_cost_the_others(tmp_path: Path, content: byt
     assert any(
         "/early: 0 of the samples 0 to 59 are missing, later ones are not known" in one for one in contents.warnings
     )
-    assert read_raw(tmp_path / "bag").count == 80
+    assert Bag(tmp_path / "bag").raw().count == 80
     assert recover(tmp_path / "bag", tmp_path / "whole").counts == {"/early": 60, "/late": 20}
     (tmp_path / "bag/bag_0.mcap").write_bytes(content)
     with pytest.raises(AbraceError, match=r"bag_0.mcap: .*; .*bag_1.mcap: "):
         read_topics(tmp_path / "bag")
 
 
-def test_facts_come_from_the_first_file_that_has_them(tmp_path: Path) -> None:
-    recover(write(tmp_path / "bag.mcap"), tmp_path / "bag")
-    (tmp_path / "bag/bag_00.mcap").write_bytes(b"")
-    (tmp_path / "bag/bag_0.mcap").rename(tmp_path / "bag/bag_1.mcap")
-    assert read_facts(tmp_path / "bag") == {}
-
-
-@pytest.mark.parametrize("text", ["a: 2001-99-99\n", "[1", "- 1", "{a: !!python/object:os.system x}"])
+@pytest.mark.parametrize(
+    "text", ["a: 2001-99-99\n", "[" * 100_000, "- " * 100_000, "[1", "- 1", "{a: !!python/object:os.system x}"]
+)
 def test_metadata_that_makes_no_sense_is_a_warning(tmp_path: Path, text: str) -> None:
     write(tmp_path / "bag_0.mcap")
     (tmp_path / "metadata.yaml").write_text(text)
     (warning,) = read_topics(tmp_path).warnings
     assert "metadata.yaml: can't be read" in warning
-    assert read_raw(tmp_path).count == 80
-
-
-def test_one_very_long_text_among_many_short_ones_takes_no_room_for_all(tmp_path: Path) -> None:
-    texts = ["short"] * 3000 + ["x" * 100_000] + [""]
-    with (tmp_path / "bag.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start("ros2")
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
-        topic = writer.register_channel("/texts", "cdr", schema)
-        for k, text in enumerate(texts):
-            size = struct.pack("<I", len(text) + 1)
-            writer.add_message(topic, k, b"\0\1\0\0" + size + text.encode() + b"\0", k)
-        writer.finish()
-    found = read_topics(tmp_path / "bag.mcap")["/texts"].fields["data"]
-    assert found.tolist() == texts
-    assert found.nbytes < 1e6, "1.2 GB if each had the length of the longest"
-    np.testing.assert_array_equal(read_topics(tmp_path / "bag.mcap", end=3000)["/texts"].fields["data"], texts[:3000])
+    assert Bag(tmp_path).raw().count == 80
 
 
 @pytest.mark.parametrize("wrong", [b"", b"\0\1\0\0", number(7)[:-1], b"\0\0" + number(7)[2:]])
@@ -250,3 +198,100 @@ def test_messages_that_do_not_fit_their_definition_cost_themselves_alone(tmp_pat
         contents = read_topics(write_with(tmp_path / "most.mcap", misfits))
         assert list(contents) == []
         assert "topic /numbers is left out: message" in contents.warnings[0]
+
+
+def test_a_file_that_is_named_twice_is_read_once(tmp_path: Path) -> None:
+    write(tmp_path / "bag_0.mcap")
+    names = "\n".join(["  relative_file_paths: [bag_0.mcap, bag_0.mcap]", "  storage_identifier: mcap"])
+    (tmp_path / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n{names}\n")
+    contents = read_topics(tmp_path)
+    assert contents["/early"].log_time.size == 60
+    assert contents.warnings == (f"{tmp_path}: metadata.yaml names bag_0.mcap twice",)
+
+
+def test_a_topic_described_by_idl_is_read_and_recovered(tmp_path: Path) -> None:
+    idl = b"module test_msgs { module msg { struct Odd { double a; sequence<float> b; }; }; };"
+    with (tmp_path / "bag.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        topic = writer.register_channel("/odd", "cdr", writer.register_schema("test_msgs/msg/Odd", "ros2idl", idl))
+        binary = writer.register_schema("Odd", "protobuf", bytes(range(128, 256)))
+        writer.add_message(writer.register_channel("/binary", "protobuf", binary), 5, b"12", 5)
+        writer.add_message(topic, 7, b"\0\1\0\0" + struct.pack("<dI2f", 1.5, 2, 2.5, 3.5), 7)
+        writer.finish()
+    recover(tmp_path / "bag.mcap", tmp_path / "whole")
+    for bag in (tmp_path / "bag.mcap", tmp_path / "whole"):
+        fields = read_topics(bag, ["/odd"])["/odd"].fields
+        assert (fields["a"].tolist(), fields["b"].tolist()) == ([1.5], [[2.5, 3.5]])
+
+
+def test_a_definition_that_explodes_or_is_no_messages_costs_its_topic_alone_and_no_time(tmp_path: Path) -> None:
+    line = "=" * 80
+    nested = "".join(f"{line}\nMSG: test_msgs/A{k}\ntest_msgs/A{k - 1} a\ntest_msgs/A{k - 1} b\n" for k in range(1, 27))
+    explodes = f"test_msgs/A26 a\n{nested}{line}\nMSG: test_msgs/A0\nfloat64 x\n"
+    huge = f"test_msgs/B[1000000000] b\n{line}\nMSG: test_msgs/B\nfloat64 x\n"
+    service = "int64 a\n---\nint64 b\n"
+    many = [("/a", explodes, DOUBLE), ("/b", huge, DOUBLE), ("/c", service, DOUBLE), ("/d", "float64 x\n", DOUBLE)]
+    path = write_definitions(tmp_path / "bag.mcap", *many)
+    begin = time.process_time()
+    contents = read_topics(path)
+    assert time.process_time() - begin < 1.0
+    assert contents["/d"].fields["x"].tolist() == [1.5]
+    for topic, why in (("/a", "67108864 values"), ("/b", "1000000000 values"), ("/c", "a service or an action")):
+        assert any(f"topic {topic} is left out" in one and why in one for one in contents.warnings)
+    assert recover(path, tmp_path / "whole").counts == dict.fromkeys(("/a", "/b", "/c", "/d"), 1)
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_a_chunk_in_several_frames_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compression: str) -> None:
+    pack = lz4.frame.compress if compression == "lz4" else zstandard.ZstdCompressor().compress
+
+    def frames(content: bytes, *_: Any) -> bytes:
+        skipped = b"\x50\x2a\x4d\x18" + struct.pack("<I", 3) + b"any"
+        half = len(content) // 2
+        packed: bytes = skipped + pack(content[:half]) + pack(content[half:])
+        return packed
+
+    monkeypatch.setattr(mcap.writer.zstandard if compression == "zstd" else mcap.writer.lz4.frame, "compress", frames)
+    path = write(tmp_path / "bag.mcap", compression=CompressionType[compression.upper()])
+    contents = read_topics(path)
+    assert contents["/early"].log_time.size == Bag(path).raw(["/early"]).count == 60
+    assert contents.warnings == ()
+
+
+def test_a_chunk_that_is_there_twice_is_read_once_and_a_channel_described_twice_is_reported(tmp_path: Path) -> None:
+    path = write(tmp_path / "bag.mcap")
+    begin, end = chunk_offsets(path)[2:4]
+    content = path.read_bytes()
+    path.write_bytes(content[:end] + content[begin:end] + content[end:])
+    contents = read_topics(path)
+    assert contents["/early"].log_time.size == Bag(path).raw(["/early"]).count == 60
+    assert any(f"the chunk at byte {end} is there twice" in warning for warning in contents.warnings)
+    records = inputs()["OneMessage"]
+    other = Channel(id=1, topic="/other", message_encoding="cdr", schema_id=1, metadata={})
+    path.write_bytes(variant([*records, other, text_message("two", 1001)], ()))
+    (warning,) = Bag(path).raw().warnings
+    assert "channel 1 (/text, later /other) is described in two ways" in warning
+
+
+def test_bytes_that_could_each_begin_a_chunk_do_not_take_long(tmp_path: Path) -> None:
+    path = write(tmp_path / "bag.mcap")
+    path.write_bytes(path.read_bytes()[: chunk_offsets(path)[3]] + b"\x06" * 30_000_000)
+    begin = time.process_time()
+    assert Bag(path).raw().count > 20
+    assert time.process_time() - begin < 10.0
+
+
+def test_control_characters_of_names_do_not_reach_the_terminal() -> None:
+    assert printable("/x\x1b[2J\rt\u202e é\n") == "/x\\x1b[2J\\rt\\u202e é\n"
+
+
+def test_messages_of_one_topic_in_two_encodings_are_not_decoded_as_one(tmp_path: Path) -> None:
+    path = tmp_path / "bag.mcap"
+    cdr = Channel(id=1, topic="/text", message_encoding="cdr", schema_id=1, metadata={})
+    other = Channel(id=2, topic="/text", message_encoding="json", schema_id=1, metadata={})
+    records = [inputs()["OneMessage"][0], cdr, other, text_message("one", 5), text_message("two", 6, channel=2)]
+    path.write_bytes(variant(records, ("ch", "st")))
+    bag = Bag(path)
+    assert bag.arrays()["/text"].fields["data"].tolist() == ["one"]
+    assert any("messages of topic /text are left out" in warning for warning in bag.warnings)

@@ -12,11 +12,11 @@ from rosbags.rosbag2.metadata import dump_qos_v9
 
 from abrace_bags import offered_qos
 from abrace_bags.qos import DEFAULT_QOS, UNKNOWN_QOS, combined_qos, common_qos, in_words, parse_qos
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 
 BEST_EFFORT = DEFAULT_QOS._replace(reliability=QosReliability.BEST_EFFORT)
 TRANSIENT_LOCAL = DEFAULT_QOS._replace(durability=QosDurability.TRANSIENT_LOCAL)
-PROFILE = {"history": "keep_last", "depth": 10, "reliability": "reliable", "durability": "volatile"}
+PROFILE = in_words(DEFAULT_QOS)
 
 
 @pytest.mark.parametrize(
@@ -26,11 +26,11 @@ PROFILE = {"history": "keep_last", "depth": 10, "reliability": "reliable", "dura
         ([PROFILE], DEFAULT_QOS),
         ([{**PROFILE, "reliability": "best_effort"}], BEST_EFFORT),
         (
-            [{"history": 1, "depth": 4, "reliability": 2, "durability": 1}],
+            [{**PROFILE, "history": 1, "depth": 4, "reliability": 2, "durability": 1}],
             BEST_EFFORT._replace(durability=QosDurability.TRANSIENT_LOCAL, depth=4),
         ),
         ([{**PROFILE, "history": "unknown", "depth": 0}], UNKNOWN_QOS),
-        ([{**PROFILE, "reliability": "of a later version"}], DEFAULT_QOS),
+        ([{**PROFILE, "reliability": "of a later version"}, {**PROFILE, "durability": 17}], DEFAULT_QOS),
         (
             [{**PROFILE, "history": 2, "liveliness": 3}],
             DEFAULT_QOS._replace(history=QosHistory.KEEP_ALL, liveliness=QosLiveliness.MANUAL_BY_TOPIC),
@@ -45,7 +45,7 @@ PROFILE = {"history": "keep_last", "depth": 10, "reliability": "reliable", "dura
             DEFAULT_QOS._replace(deadline=QosTime(1, 5), lifespan=QosTime(3, 0)),
         ),
         ([{**PROFILE, "liveliness_lease_duration": {"sec": 2147483647, "nsec": 4294967295}}], DEFAULT_QOS),
-        ([{**PROFILE, "deadline": {"sec": 0, "nsec": 0}, "lifespan": None}], DEFAULT_QOS),
+        ([{**PROFILE, "deadline": {"sec": 0, "nsec": 0}, "lifespan": {"sec": 0, "nsec": 0}}], DEFAULT_QOS),
         ([{**PROFILE, "depth": 2**40}], DEFAULT_QOS._replace(depth=2**31 - 1)),
     ],
 )
@@ -61,14 +61,14 @@ def test_one_publisher_can_serve_the_subscribers_of_all_recorded_ones(
         "a: 1",
         "- 3",
         "[",
-        "- {reliability: 17}",
         "- {deadline: {sec: 1}}",
         "- {depth: many}",
         "- {depth: .inf}",
         "- {deadline: 3}",
-        "- {depth: -1}",
-        "- {reliability: -1}",
-        "- {lifespan: {sec: -1, nsec: 0}}",
+        "[" * 100_000,
+        yaml.safe_dump([{**PROFILE, "depth": -1}]),
+        yaml.safe_dump([{**PROFILE, "depth": "many"}]),
+        yaml.safe_dump([{**PROFILE, "lifespan": {"sec": -1, "nsec": 0}}]),
     ],
 )
 def test_qos_that_makes_no_sense_is_refused_in_one_line(text: str) -> None:

@@ -5,9 +5,9 @@ import pytest
 
 from abrace_bringup.arguments import read_arguments
 from abrace_bringup.graphs import CLOSED_LOOP, IDENTIFICATION
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 
-TABLES = {"closed_loop": CLOSED_LOOP, "identification": IDENTIFICATION}
+TABLES = {graph.name: graph.arguments for graph in (CLOSED_LOOP, IDENTIFICATION)}
 
 
 @pytest.fixture
@@ -15,26 +15,26 @@ def texts(tmp_path) -> dict[str, str]:
     """Valid texts of the closed loop's arguments."""
     controller = tmp_path / "lqg3.yaml"
     controller.write_text("/**:\n  ros__parameters: {name: lqg3}\n")
-    defaults = {argument.name: argument.default for argument in CLOSED_LOOP}
-    return {**defaults, "controller": str(controller), "bag": str(tmp_path / "bag")}
+    return {"controller": str(controller), "bag": str(tmp_path / "bag")}
 
 
-def mistakes(texts: dict[str, str], given=(), table=CLOSED_LOOP) -> list[str]:
+def mistakes(texts: dict[str, str], given=(), table=CLOSED_LOOP.arguments) -> list[str]:
     with pytest.raises(AbraceError) as raised:
         read_arguments(table, texts, given)
     return str(raised.value).splitlines()[1:]
 
 
 def test_valid_arguments_have_their_types(texts):
-    values = read_arguments(CLOSED_LOOP, {**texts, "duration": "20", "plant": "False", "namespace": "/lab/rig"})
-    assert (values["duration"], values["plant"], values["namespace"]) == (20.0, False, "lab/rig")
+    given = {**texts, "duration": "20", "plant": "False", "namespace": "/lab/rig"}
+    values = read_arguments(CLOSED_LOOP.arguments, given)
+    assert (values["duration"], values["plant"], values["namespace"]) == (20.0, False, "/lab/rig")
     assert values["controller"] == texts["controller"]
 
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
 def test_every_argument_has_a_description_and_only_what_has_to_be_given_a_default_that_is_refused(table):
     assert all(argument.description for argument in table)
-    lines = mistakes({argument.name: argument.default for argument in table}, table=table)
+    lines = mistakes({}, table=table)
     refused = {line.partition(":=")[0] for line in lines}
     assert refused == {argument.name for argument in table if "required" in argument.description}
 
@@ -43,20 +43,14 @@ def test_every_argument_has_a_description_and_only_what_has_to_be_given_a_defaul
     ("name", "text", "expected"),
     [
         ("duration", "5x", "a number of 0 or more"),
-        ("duration", "1,5", "a number of 0 or more"),
         ("peak_acceleration", "nan", "a number of 0 or more"),
         ("free_decay", "-1", "a number of 0 or more"),
-        ("patience", "inf", "a number of 0 or more"),
         ("plant", "no", "true or false"),
         ("namespace", "2rig", "a ROS namespace"),
-        ("namespace", "", "a ROS namespace"),
         ("enclaves", "abrace", "a folder of enclaves such as /abrace"),
-        ("enclaves", "/abrace/", "a folder of enclaves such as /abrace"),
         ("rig", "", "the name of a rig or a file"),
         ("rig", "none.yaml", "none of this name"),
         ("record", "./none", "none of this name"),
-        ("record", "NONE.AT2", "none of this name"),
-        ("controller", "", "a ROS parameter file"),
         ("controller", "my_laws/", "or PACKAGE/EXECUTABLE of a node of your own"),
         ("controller", "none.yaml", "No such file"),
         ("controller", "/", "a folder, expected a file"),
@@ -82,4 +76,5 @@ def test_a_file_without_parameters_is_refused(texts, tmp_path, content):
 def test_all_mistakes_are_named_at_once_names_as_well(texts):
     lines = mistakes({**texts, "duration": "x", "plant": "x"}, ["recrod", "duration", "zzz"])
     assert [line.partition(":")[0] for line in lines] == ["recrod", "zzz", "duration", "plant"]
-    assert lines[0] == "recrod: unknown, expected one of " + ", ".join(sorted(texts)) + ", did you mean record?"
+    names = sorted(argument.name for argument in CLOSED_LOOP.arguments)
+    assert lines[0] == f"recrod: unknown, expected one of {', '.join(names)}, did you mean record?"

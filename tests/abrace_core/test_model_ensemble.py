@@ -4,9 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel, load_covariance, load_model, save_model
-from abrace_core.model_ensemble import draw_models
+from abrace_core import AbraceError
+from abrace_core.model.linear_model import LinearModel, load_covariance, load_model, save_model
+from abrace_core.model.model_ensemble import draw_models
 
 A = np.array([[-0.1, -7.0, 0.0], [7.0, -0.1, 0.0], [0.0, 0.0, -6.0]])
 
@@ -81,5 +81,5 @@ def test_what_is_no_covariance_of_the_model_is_refused(model, covariance, tmp_pa
     path = tmp_path / "model.json"
     save_model(model, path, covariance)
     path.write_text(path.read_text().replace('"covariance": [\n  [', '"covariance": [\n  [1.0,'))
-    with pytest.raises(AbraceError, match=r"model\.json: covariance: expected the rows of a lower triangle"):
+    with pytest.raises(AbraceError, match=r"model\.json: covariance: row 1 has 2 numbers, expected 1"):
         load_covariance(path)

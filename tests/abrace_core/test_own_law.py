@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from abrace_core.errors import AbraceError
-from abrace_core.own_law import GuardedLaw, law_options, made_law
+from abrace_core import AbraceError
+from abrace_core.model.own_law import GuardedLaw, law_options, make_law
 
 Z = (0.1, 0.2, 0.3, 0.01, 1.0, 2.0, 3.0, 500.0)
 """Three floors, one brace group."""
@@ -54,12 +54,28 @@ def test_the_force_fades_in_along_half_a_cosine_whenever_it_begins_anew():
         law.begin(3, 1)
 
 
-def test_what_the_constructor_takes_are_the_parameters():
+def test_an_argument_for_numbers_is_no_parameter_for_whole_numbers_alone():
     class Own:
-        def __init__(self, gain=2.0, name="a", steps=3, on=True, floors=(1, 2)):
+        def __init__(
+            self,
+            damping: float = 200000,
+            gains: list[float] = (1, 2),
+            text: "float" = 3,
+            steps: int = 4,
+            name="a",
+            on=True,
+        ):
             pass
 
-    assert law_options(Own) == {"gain": 2.0, "name": "a", "steps": 3, "on": True, "floors": [1, 2]}
+    options = law_options(Own)
+    assert (options.pop("name"), options.pop("on")) == ("a", True)
+    assert options == {"damping": 2e5, "gains": [1.0, 2.0], "text": 3.0, "steps": 4}
+    assert [type(one) for one in (options["damping"], options["gains"][0], options["text"], options["steps"])] == [
+        float,
+        float,
+        float,
+        int,
+    ]
 
 
 def test_a_law_that_cannot_be_made_is_named():
@@ -67,7 +83,7 @@ def test_a_law_that_cannot_be_made_is_named():
         raise ValueError(f"no table for {gain}")
 
     with pytest.raises(AbraceError, match=r"own: ValueError: no table for 2\.0"):
-        made_law(own, {"gain": 2.0})
+        make_law(own, {"gain": 2.0})
 
 
 @pytest.mark.parametrize("default", ["", "=None", "={}", "=()"])

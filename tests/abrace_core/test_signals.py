@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """A signal is found by the paper's name and by that of the messages."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from abrace_core.errors import AbraceError
-from abrace_core.run import Run
-from abrace_core.signals import command_names, positions, response_names
+from abrace_core import AbraceError
+from abrace_core.model.response import clipped_sentences
+from abrace_core.model.run import Run
+from abrace_core.model.signals import command_names, positions, response_names
 
 
 @pytest.mark.parametrize(
@@ -43,3 +46,24 @@ def test_all_names_that_are_missing_are_told_at_once():
         AbraceError, match=r"^bag: no channel 'x4', 'force\[0\]', 'displacement\[3\]', it has x1, x2, x3, f$"
     ):
         positions(["x1", "x4", "force[0]", "displacement[3]"], ["x1", "x2", "x3", "f"], "bag: no channel")
+
+
+def test_channels_beyond_the_64_of_the_flags_are_not_said_to_be_within_their_range():
+    names = response_names(32, 1)
+    run = Run(
+        "bag", 0.002, np.arange(3, dtype=np.uint64), 32, 1, np.zeros((3, len(names))), np.zeros(3), np.zeros((3, 1))
+    )
+    clipped = replace(run, clipped=np.array([0, 1, 1 << 63], dtype=np.uint64)).clipped_samples
+    assert clipped == {"x1": 1, "a31": 1, "a32": None, "f": None, "w": None}
+    assert clipped_sentences(clipped) == [
+        "x1: 1 sample at the end of its range",
+        "a31: 1 sample at the end of its range",
+        "a32, f, w: unknown whether at the end of the range, not flagged",
+    ]
+
+
+def test_a_test_is_the_same_by_its_samples_not_by_its_name():
+    run = Run("one", 0.002, np.arange(2, dtype=np.uint64), 1, 0, np.zeros((2, 2)), np.zeros(2), np.zeros((2, 0)))
+    assert run.is_same(replace(run, source="other", outputs=run.outputs.copy()))
+    assert not run.is_same(replace(run, outputs=run.outputs + 1))
+    assert not run.is_same(replace(run, ground_acceleration=np.ones(2)))

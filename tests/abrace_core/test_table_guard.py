@@ -116,7 +116,7 @@ def test_a_table_that_is_left_alone_does_not_drift():
     for _ in range(501):
         guard.follow([0.0])
     there = guard.state.displacement
-    for _ in range(500_000):
+    for _ in range(20_000):
         guard.follow([0.0])
     assert guard.state.displacement == there
 

@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import signal
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
+from abrace_core.model.table_signals import table_multisine, table_noise
 from abrace_core.safety.table_stop import TableState
-from abrace_core.table_signals import table_multisine, table_noise
 
 BAND = (0.1, 10.0)
 
@@ -46,15 +45,6 @@ def test_noise_from_a_tenth_of_a_hertz_keeps_within_a_stroke_of_25_cm(seed):
     velocity, displacement = path(table_noise(120_000, 500.0, BAND, 0.25, seed))
     assert np.abs(displacement).max() < 0.18
     assert np.abs(velocity).max() < 0.25
-
-
-def test_noise_is_flat_in_its_band_and_empty_outside():
-    noise = table_noise(300_000, 500.0, (2.0, 30.0), 1.0, 3)
-    frequencies, density = signal.welch(noise, 500.0, window="blackman", nperseg=5000, detrend=False)
-    inside, expected = density[(frequencies > 2.5) & (frequencies < 29.5)], 1.0 / 28.0
-    assert inside.mean() == pytest.approx(expected, rel=0.02)
-    assert inside.min() > 0.5 * expected
-    assert density[(frequencies < 1.0) | (frequencies > 31.0)].max() < 1e-6 * expected
 
 
 def test_noise_fades_in_and_out_and_is_the_same_for_a_seed():
@@ -94,8 +84,3 @@ def test_a_multisine_that_a_table_cannot_play_is_refused(change, message):
     arguments = {"duration": 80.0, "period": 16.384, "band": (0.3, 10.0), "rms": 0.25} | change
     with pytest.raises(AbraceError, match=message):
         table_multisine(sample_rate=500.0, seed=1, **arguments)
-
-
-def test_noise_that_is_too_short_is_refused():
-    with pytest.raises(AbraceError, match="at least 2 s"):
-        table_noise(999, 500.0, BAND, 1.0, 1)

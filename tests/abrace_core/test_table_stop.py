@@ -98,38 +98,6 @@ def test_a_stop_in_the_middle_of_the_stroke_takes_half_a_second(v, a):
     assert stop.within_stroke
 
 
-def test_a_table_at_rest_is_done_at_once():
-    stop = TableStop(0.0, 0.0, 0.2, TABLE, PERIOD)
-    assert stop.done
-    assert stop.next() == 0.0
-    assert (stop.displacement, stop.within_stroke) == (0.2, True)
-
-
-def test_near_the_end_of_the_stroke_the_stop_is_shorter():
-    start = 0.0, 0.9, 0.15
-    stop = TableStop(*start, TABLE, PERIOD)
-    assert stop.within_stroke
-    assert 0.1 < len(stop.profile) * PERIOD < 0.3
-    _, displacements = run(stop, start)
-    assert displacements.max() < 0.25
-
-
-def test_a_stop_for_which_the_stroke_does_not_suffice_says_so_and_brakes_hardest():
-    start = 0.0, 1.0, 0.24
-    stop = TableStop(*start, TABLE, PERIOD)
-    assert not stop.within_stroke
-    accelerations, _ = run(stop, start)
-    assert accelerations.min() == pytest.approx(-10.0, rel=0.1)
-    assert stop.displacement == pytest.approx(0.24 + least_distance(0.0, 1.0, TABLE), rel=0.01)
-
-
-def test_a_weak_table_takes_longer():
-    weak = Table(1.0, 100.0, 1.0, 2.0)
-    stop = TableStop(0.0, 0.8, 0.0, weak, PERIOD)
-    assert 1.5 < len(stop.profile) * PERIOD < 2.0
-    assert stop.within_stroke
-
-
 def test_the_state_is_the_exact_integral_of_an_acceleration_that_is_linear_between_samples():
     accelerations = np.random.default_rng(3).standard_normal(20)
     state = TableState(0.1, displacement=0.5)

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 
-from abrace_core.errors import AbraceError
-from abrace_core.wire import (
+from abrace_core import AbraceError
+from abrace_core.safety.wire import (
     LONGEST_TEXT,
     BraceCommands,
     Head,
@@ -45,6 +45,7 @@ def responses(draw) -> Response:
         flags=draw(st.integers(0, 2**32 - 1)),
         state=draw(st.integers(0, 255)),
         ground_acceleration=draw(finite),
+        table_displacement=draw(finite),
         cause=draw(texts),
     )
     message.header.stamp = time(draw(stamps))
@@ -75,6 +76,7 @@ def test_responses_are_read_as_rclpy_wrote_them_when_the_rig_changes_too(first, 
         assert time(stamp) == message.header.stamp
         assert found == head(message)
         assert reader.cause(payload) == message.cause
+        assert reader.table_displacement == message.table_displacement
         others = (*message.displacement, *message.stroke, *message.acceleration)
         assert z[: len(others)] == others
         ends = np.cumsum(message.braces, dtype=int).tolist()
@@ -90,7 +92,9 @@ def test_rclpy_reads_responses_as_they_were_packed(message):
     arrays = tuple(getattr(message, name) for name in ARRAYS)
     packer = Responses()
     for _ in range(2):
-        packed = packer.pack(stamp, head(message), message.cause, *arrays, message.ground_acceleration)
+        packed = packer.pack(
+            stamp, head(message), message.cause, *arrays, message.ground_acceleration, message.table_displacement
+        )
         assert deserialize_message(packed, Response) == message
 
 
@@ -117,7 +121,7 @@ def test_ground_accelerations_are_the_same_to_rclpy_both_ways(stamp, frame, acce
 
 def test_packed_messages_have_no_stray_bytes():
     x, u = [0.5, 0.25, 0.125], [1.0]
-    packed = [Responses().pack(7, Head(8, 1, 0, 0, 3), "", [1], x, x, u, u, u, 0.5) for _ in range(2)]
+    packed = [Responses().pack(7, Head(8, 1, 0, 0, 3), "", [1], x, x, u, u, u, 0.5, 0.25) for _ in range(2)]
     assert packed[0] == packed[1]
     assert packed[0][22:28] == bytes(6), "padding after frame_id"
 
@@ -125,7 +129,7 @@ def test_packed_messages_have_no_stray_bytes():
 @given(responses(), st.data())
 def test_a_cut_response_is_refused(message, data):
     arrays = tuple(getattr(message, name) for name in ARRAYS)
-    whole = Responses().pack(5, head(message), message.cause, *arrays, 0.5)
+    whole = Responses().pack(5, head(message), message.cause, *arrays, 0.5, 0.25)
     cut = whole[: data.draw(st.integers(0, len(whole) - 1))]
     reader = Responses()
     reader.unpack(whole)

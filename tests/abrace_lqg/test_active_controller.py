@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from interpreter import yields
 
-from abrace_core.controller_file import Controller
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel
+from abrace_core import AbraceError
+from abrace_core.model.controller_file import Controller
+from abrace_core.model.linear_model import LinearModel
 from abrace_lqg.active_controller import SETTLING_TIME, ActiveController
 from abrace_lqg.control_law import ControlLaw
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel
-from abrace_lqg.analysis.disk_margin import DESCENT_STEPS, DiskMargin, disk_margin, structured_bound
+from abrace_core import AbraceError
+from abrace_core.model.linear_model import LinearModel
+from abrace_lqg.analysis.disk_margin import DESCENT_STEPS, DiskMargin, _descended, _Matrices, disk_margin
 from abrace_lqg.loop import Loop, is_stable
 
 PERIOD = 0.01
@@ -27,6 +27,11 @@ def law(first: float = -6.0, second: float = -2.5, command: float = 1.0) -> Line
     """U = first v1 + second v2, times command."""
     d = command * np.array([[first, second]])
     return LinearModel(np.eye(1) / 2, np.zeros((1, 2)), np.zeros((1, 1)), d, ("v1", "v2"), ("U",), PERIOD)
+
+
+def structured_bound(matrix: np.ndarray, descent_steps: int) -> np.ndarray:
+    """Upper bound (matrices,) of mu of each matrix, for a diagonal complex perturbation."""
+    return _descended(_Matrices(0.0, matrix, np.broadcast_to(np.eye(matrix.shape[1]), matrix.shape)), descent_steps)
 
 
 def complex_matrices(count: int, size: int) -> np.ndarray:
@@ -93,9 +98,9 @@ def test_one_sensor_and_one_command_have_the_margin_of_their_closed_form():
 def test_gain_and_phase_of_the_disk_are_those_of_the_paper():
     # Seiler, Packard and Gahinet 2020: alpha = 2/3, skew 0: gains from 0.5 to 2, phases to 36.87 degrees
     margin = DiskMargin(2 / 3, 10.0)
-    assert margin.gain == pytest.approx(20 * np.log10(2))
-    assert margin.phase == pytest.approx(36.8699, abs=1e-4)
-    assert DiskMargin(2.0, 10.0).gain == np.inf
+    assert margin.gain_db == pytest.approx(20 * np.log10(2))
+    assert margin.phase_deg == pytest.approx(36.8699, abs=1e-4)
+    assert DiskMargin(2.0, 10.0).gain_db == np.inf
 
 
 def test_the_disk_margin_of_an_unstable_loop_is_refused():

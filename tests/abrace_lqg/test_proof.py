@@ -8,25 +8,26 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pydantic
 import pytest
 from scipy import linalg
 
-from abrace_core.controller_file import Controller, load_controller, save_controller
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel, save_model
-from abrace_lqg.analysis.lost_samples import lost_samples
-from abrace_lqg.analysis.margins import margins
-from abrace_lqg.analysis.mode_damping import mode_effects
+from abrace_core import AbraceError
+from abrace_core.files.writing import finite_or_null
+from abrace_core.model.controller_file import Controller, load_controller, save_controller
+from abrace_core.model.linear_model import LinearModel, save_model
+from abrace_lqg.analysis.disk_margin import DiskMargin
+from abrace_lqg.analysis.margins import Margins, margins
+from abrace_lqg.analysis.mode_damping import ModeEffect, mode_effects
 from abrace_lqg.analysis.prediction import Excitation, predicted_rms, rms_without_and_with_control
-from abrace_lqg.control_law import ControlLaw
 from abrace_lqg.design import ControllerDesign, design
-from abrace_lqg.loop import closed_loop, is_stable, sampled
+from abrace_lqg.loop import closed_loop, is_stable
+from abrace_lqg.proof import checks
 from abrace_lqg.proof.checks import Proof, prove, require
 from abrace_lqg.proof.figures import loop_figure
-from abrace_lqg.proof.files import distrusted, load_models, save_proof
-from abrace_lqg.proof.limits import OBJECTIONS, WORDING, Limits
+from abrace_lqg.proof.files import distrusted, load_models, save_proof, table_lines
+from abrace_lqg.proof.limits import OBJECTIONS, WORDING, DesignOptions, Limits
 from abrace_lqg.proof.proven_design import design_to_file
-from abrace_lqg.proof.table import table_lines
 from abrace_lqg.weights import Weights, load_weights
 from abrace_plant.rig.file import load_rig
 
@@ -84,14 +85,6 @@ def test_rms_for_noise_up_to_half_the_sampling_rate_is_that_of_the_lyapunov_equa
     np.testing.assert_allclose([found[name] for name in loop.outputs], expected, rtol=2e-3)
 
 
-def test_power_of_two_bands_adds_up(rig_model: LinearModel, designed: ControllerDesign):
-    def power(band: tuple[float, float]) -> np.ndarray:
-        rms = np.sqrt(band[1] - band[0])
-        return np.array(list(predicted_rms(rig_model, designed.controller, Excitation(rms, band)).values())) ** 2
-
-    np.testing.assert_allclose(power((0.5, 4.0)) + power((4.0, 20.0)), power((0.5, 20.0)), rtol=1e-3)
-
-
 def test_without_control_the_command_is_zero_and_the_building_moves_more(
     rig_model: LinearModel, designed: ControllerDesign
 ):
@@ -143,73 +136,13 @@ def test_a_mode_that_is_pushed_the_wrong_way_loses_damping():
     assert all(mode.modelled for mode in effects)
 
 
-# lost samples, against the law that runs
-
-
-def run(plant: LinearModel, designed: ControllerDesign, ground: np.ndarray, lost: set[int]) -> np.ndarray:
-    """Commands in force (samples,) of the run-time law on the plant, with some samples lost."""
-    law = ControlLaw(controller_of(designed), plant.outputs)
-    state, command, gap = np.zeros(plant.order), np.zeros(1), 0
-    in_force = np.zeros(len(ground))
-    for k, w in enumerate(ground):
-        u = np.array([w, command[0]])
-        in_force[k] = command[0]
-        y = plant.c @ state + plant.d @ u
-        state = plant.a @ state + plant.b @ u
-        if k in lost:
-            gap += 1
-            continue
-        law.bridge(gap)
-        gap = 0
-        command = law.update(y).copy()
-        law.advance(command)
-    return in_force
-
-
-@pytest.mark.parametrize("in_a_row", [1, 2])
-def test_a_single_loss_moves_the_command_as_the_running_law_does(
-    rig_model: LinearModel, designed: ControllerDesign, in_a_row: int
-):
-    plant, omega, at = sampled(rig_model, PERIOD), 2 * np.pi * 3.0, 2500
-    time = np.arange(2900) * PERIOD
-    changes, usual = [], []
-    for ground in (np.cos(omega * time), np.sin(omega * time)):
-        undisturbed = run(plant, designed, ground, set())
-        changes.append(run(plant, designed, ground, set(range(at, at + in_a_row))) - undisturbed)
-        usual.append(undisturbed[at])
-    expected = np.sqrt(np.sum(np.square(changes), axis=0)).max() / np.sqrt(np.sum(np.square(usual)))
-    narrow = Excitation(1.0, (3.0 - 1e-6, 3.0 + 1e-6))
-    found = lost_samples(rig_model, designed.controller, designed.correction, excitation=narrow, in_a_row=in_a_row)
-    assert found.command_deviation == pytest.approx(expected, rel=1e-2)
-
-
-def test_periodic_losses_that_keep_the_loop_stable_are_those_of_the_running_law(rig_model: LinearModel):
-    weights = load_weights(SOURCES / "abrace_lqg/config/lqg3.yaml")
-    sound = design(rig_model, weights, PERIOD)
-    edge = 10 ** (margins(rig_model, sound.controller).gain / 20)
-    plant, shake = sampled(rig_model, PERIOD), np.random.default_rng(1).standard_normal(200)
-    # near its edge of stability the loop stays stable only with rare losses; the motion shows how rare
-    tense = louder(sound, 0.97 * edge)
-    for one, in_a_row in ((sound, 1), (tense, 2)):
-        found = lost_samples(
-            rig_model, one.controller, one.correction, excitation=Excitation(), in_a_row=in_a_row
-        ).stable_every
-        assert found is not None
-        for period in {found, found - 1} - {in_a_row}:
-            ground = np.concatenate([shake, np.zeros(9800)])
-            lost = {k for k in range(len(ground)) if k % period < in_a_row and k > period}
-            moved = run(plant, one, ground, lost)
-            late, early = np.abs(moved[-1000:]).max(), np.abs(moved[2000:3000]).max()
-            assert (late < early) == (period == found), (in_a_row, period)
-
-
 # refusals
 
 
 def test_a_sound_design_has_no_objections(proof: Proof):
     assert require(proof).accepted == ()
     assert not proof.objections()
-    assert proof.margins.gain > 8
+    assert proof.margins.gain_db > 8
     assert proof.least_damping_kept > 0.85
     assert "gain margin" in proof.summary()
 
@@ -229,25 +162,12 @@ def test_a_design_that_is_unstable_with_a_check_model_is_refused_unless_accepted
     assert any("NOT STABLE" in line for line in table_lines(accepted))
 
 
-def test_a_delay_margin_under_4_ms_is_refused_unless_accepted_by_name(
-    rig_model: LinearModel, designed: ControllerDesign
-):
-    edge = 10 ** (margins(rig_model, designed.controller).gain / 20)
-    found = prove(louder(designed, 0.98 * edge), {"rig": rig_model})
-    assert found.margins.delay < 0.004
-    with pytest.raises(
-        AbraceError, match=r"delay margin \d.\d\d ms at U with rig, expected at least 4 ms.*short_delay"
-    ):
-        require(found)
-    assert SHORT_DELAY in require(found, OBJECTIONS).accepted
-
-
 def test_a_small_margin_is_refused_by_default_with_all_names_that_are_to_be_accepted(
     rig_model: LinearModel, designed: ControllerDesign
 ):
-    edge = 10 ** (margins(rig_model, designed.controller).gain / 20)
+    edge = 10 ** (margins(rig_model, designed.controller).gain_db / 20)
     found = prove(louder(designed, edge / 10 ** (1.4 / 20)), {"rig": rig_model})
-    assert found.margins.gain == pytest.approx(1.4, abs=1e-3)
+    assert found.margins.gain_db == pytest.approx(1.4, abs=1e-3)
     with pytest.raises(AbraceError) as refusal:
         require(found)
     assert "gain margin 1.40 dB at U with rig, expected at least 6 dB; phase margin 1" in str(refusal.value)
@@ -261,8 +181,8 @@ def test_each_limit_refuses_by_its_name_from_its_value_on(proof: Proof, limit: s
     disk = proof.models[0].disk
     assert disk is not None
     found = {
-        "gain_margin": proof.margins.gain,
-        "phase_margin": proof.margins.phase,
+        "gain_margin": proof.margins.gain_db,
+        "phase_margin": proof.margins.phase_deg,
         "delay_margin": proof.margins.delay,
         "disk_margin": disk.alpha,
         "damping_kept": proof.least_damping_kept,
@@ -274,6 +194,57 @@ def test_each_limit_refuses_by_its_name_from_its_value_on(proof: Proof, limit: s
     ):
         require(higher)
     assert WORDING[limit].objection in require(higher, [WORDING[limit].objection]).summary()
+
+
+def test_a_margin_that_is_no_number_is_an_objection(proof: Proof):
+    first = proof.models[0]
+    unknown = replace(first.margins["U"], gain_db=float("nan"))
+    of_nothing = replace(proof, models=(replace(first, margins=first.margins | {"U": unknown}), *proof.models[1:]))
+    assert list(of_nothing.objections()) == ["small_gain_margin"]
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("computed", "unknown", "objection"),
+    [
+        ("disk_margin", DiskMargin(np.nan, 1.0), "small_disk_margin"),
+        ("margins_at", {"U": Margins(10.0, 60.0, np.nan, 1.5)}, "short_delay_margin"),
+        ("mode_effects", [ModeEffect(7.0, 0.02, 7.0, np.nan, True)], "damping_lost"),
+    ],
+)
+def test_what_is_not_a_number_with_one_of_the_drawn_models_is_an_objection_whichever_it_is(
+    monkeypatch, rig_model: LinearModel, designed: ControllerDesign, place: int, computed: str, unknown, objection: str
+):
+    usual, drawn = getattr(checks, computed), [replace(rig_model) for _ in range(3)]
+    monkeypatch.setattr(
+        checks,
+        computed,
+        lambda model, *given, **more: unknown if model is drawn[place] else usual(model, *given, **more),
+    )
+    found = prove(designed, {"rig": rig_model}, ensembles={"rig": drawn})
+    assert list(found.objections()) == [objection]
+    assert "nan" in found.objections()[objection]
+    assert "nan" in found.summary()
+
+
+def test_a_proof_with_numbers_that_are_none_is_read_as_it_was_written(proof: Proof):
+    first = proof.models[0]
+    unknown = replace(
+        first,
+        disk=DiskMargin(np.nan, 1.0),
+        modes=[ModeEffect(7.0, 0.02, 7.0, np.nan, True)],
+        margins={"U": Margins(*4 * [np.nan])},
+    )
+    found = replace(proof, models=(unknown,))
+    content = finite_or_null(pydantic.TypeAdapter(Proof).dump_python(found))
+    again = pydantic.TypeAdapter(Proof).validate_python(content)
+    assert list(again.objections()) == list(found.objections()) != []
+    assert again.summary() == found.summary()
+
+
+def test_a_mode_without_damping_has_none_to_lose():
+    assert ModeEffect(7.0, 0.0, 7.0, 0.05, True).damping_kept == np.inf
+    assert ModeEffect(7.0, 0.0, 7.0, -0.01, True).damping_kept == -np.inf
 
 
 def test_the_damping_of_a_model_whose_loop_is_accepted_as_unstable_is_no_second_objection(
@@ -305,8 +276,8 @@ def test_a_limit_has_to_be_kept_with_every_model_that_is_as_likely(
     ensemble = found.models[0].ensemble
     assert ensemble is not None
     assert (ensemble.count, ensemble.unstable) == (2, 0)
-    assert ensemble.margins["U"].gain == pytest.approx(margins(loud, designed.controller).gain)
-    assert found.margins.gain == ensemble.margins["U"].gain
+    assert ensemble.margins["U"].gain_db == pytest.approx(margins(loud, designed.controller).gain_db)
+    assert found.margins.gain_db == ensemble.margins["U"].gain_db
     with pytest.raises(AbraceError, match=r"gain margin 3.* dB at U with one of the 2 models drawn from rig, expected"):
         require(found)
     assert any("the least of 2 models drawn from it: the closed loop is stable" in line for line in table_lines(found))
@@ -320,21 +291,23 @@ def test_models_are_drawn_about_those_whose_files_have_a_covariance(tmp_path: Pa
     save_model(modal, uncertain, np.diag((0.01 * sizes) ** 2))
     save_model(rig_model, exact)
     weights = load_weights(SOURCES / "abrace_lqg/config/lqg3.yaml")
-    given = {"weights": weights, "weights_name": "lqg3", "sample_period": PERIOD, "force_limit": [24516.625]}
-    proof, controller, _ = design_to_file([str(exact), str(uncertain)], tmp_path / "one.yaml", draws=5, **given)
+    five = DesignOptions(sample_period=PERIOD, force_limit=(24516.625,), draws=5)
+    given = {"weights": weights, "weights_name": "lqg3"}
+    proof, controller, _ = design_to_file([str(exact), str(uncertain)], tmp_path / "one.yaml", options=five, **given)
     assert proof.models[0].ensemble is None
     drawn = proof.models[1].ensemble
     assert drawn is not None
     assert drawn.count == 5
-    assert drawn.margins["U"].gain != proof.models[1].margins["U"].gain
+    assert drawn.margins["U"].gain_db != proof.models[1].margins["U"].gain_db
     assert "the least of 2 models and 5 drawn from them" in controller.margins
     content = json.loads((tmp_path / "one_proof.json").read_text())
     assert content["models"][1]["ensemble"]["disk_margin"] == drawn.disk_margin
-    proof, *_ = design_to_file([str(exact), str(uncertain)], tmp_path / "one.yaml", draws=0, **given)
+    none = five.model_copy(update={"draws": 0})
+    proof, *_ = design_to_file([str(uncertain)], tmp_path / "one.yaml", options=none, **given)
     assert all(each.ensemble is None for each in proof.models)
     save_model(rig_model, uncertain, np.eye(3))
     with pytest.raises(AbraceError, match=r"^model uncertain: covariance of a model"):
-        design_to_file([str(exact), str(uncertain)], tmp_path / "one.yaml", draws=5, **given)
+        design_to_file([str(exact), str(uncertain)], tmp_path / "one.yaml", options=five, **given)
 
 
 def test_a_model_that_its_own_validity_says_not_to_trust_is_refused_unless_accepted_by_name(
@@ -342,14 +315,16 @@ def test_a_model_that_its_own_validity_says_not_to_trust_is_refused_unless_accep
 ):
     save_model(rig_model, tmp_path / "model.json")
     weights = load_weights(SOURCES / "abrace_lqg/config/lqg3.yaml")
-    given = {"weights": weights, "weights_name": "lqg3", "sample_period": PERIOD, "force_limit": [24516.625]}
+    options = DesignOptions(sample_period=PERIOD, force_limit=(24516.625,))
+    given = {"weights": weights, "weights_name": "lqg3"}
     files, validity = [str(tmp_path / "model.json")], tmp_path / "validity.json"
     validity.write_text('{"verdict": "don\'t trust", "causes": ["wrong unit"]}')
     complaint = r"validity\.json says don't trust \(wrong unit\) \(accept: \[untrusted_model"
     with pytest.raises(AbraceError, match=complaint):
-        design_to_file(files, tmp_path / "one.yaml", **given)
+        design_to_file(files, tmp_path / "one.yaml", options=options, **given)
     assert not (tmp_path / "one.yaml").exists()
-    proof, controller, _ = design_to_file(files, tmp_path / "one.yaml", accept=["untrusted_model"], **given)
+    accepting = options.model_copy(update={"accept": ("untrusted_model",)})
+    proof, controller, _ = design_to_file(files, tmp_path / "one.yaml", options=accepting, **given)
     assert proof.accepted == ("untrusted_model",)
     assert "accepted by name: untrusted_model, " in controller.margins
     validity.write_text('{"verdict": "trust with care", "causes": ["friction"]}')
@@ -394,23 +369,11 @@ def test_a_rig_of_two_brace_groups_is_proven_at_each_command():
     )
     found = prove(two := design(model, weights, PERIOD), {"five": model})
     assert list(found.models[0].margins) == ["U1", "U2", "a1", "a3", "a5"]
-    assert found.margins.gain == min(found.models[0].margins[name].gain for name in ("U1", "U2"))
+    assert found.margins.gain_db == min(found.models[0].margins[name].gain_db for name in ("U1", "U2"))
     assert found.models[0].disk is not None
-    assert found.models[0].disk.gain < found.margins.gain
+    assert found.models[0].disk.gain_db < found.margins.gain_db
     nichols = loop_figure(found, {"five": model}, two.controller).axes[0]
     assert [text.get_text() for text in nichols.get_legend().get_texts()] == ["U1, five", "U2, five", "margins"]
-
-
-def test_a_command_with_a_weight_of_its_own_works_less_and_the_other_more():
-    model = load_rig(SOURCES / "abrace_plant/config/five_storey.yaml").model
-    kinds = {"displacement": 1e11, "stroke": 0.0, "acceleration": 1e9, "force": 0.0, "command": 1.0}
-    content = {"measured": ["a1", "a3", "a5"], "weights": kinds, "noise_to_excitation": 0.5}
-    alike, unlike = (
-        predicted_rms(model, design(model, Weights.model_validate(given), PERIOD).controller, Excitation())
-        for given in (content, content | {"relative": {"U2": 5.0}})
-    )
-    assert unlike["U2"] < 0.7 * alike["U2"]
-    assert unlike["U1"] > alike["U1"]
 
 
 def test_the_proof_is_written_into_the_controller_file_and_its_folder(
@@ -421,10 +384,9 @@ def test_the_proof_is_written_into_the_controller_file_and_its_folder(
     file = tmp_path / "one.yaml"
     written = save_proof(found, models, designed.controller, file)
     save_controller(controller_of(designed), file, table_lines(found))
-    assert [path.name for path in written] == ["one_proof.json", "one_loop.png", "one_poles.png", "one_prediction.png"]
-    assert all(path.read_bytes()[:4] == b"\x89PNG" for path in written[1:])
-    beside = [path.with_suffix(suffix).name for path in written[1:] for suffix in (".svg", ".plotly.json")]
-    expected = sorted(["one.yaml", *(path.name for path in written), *beside])
+    assert [path.name for path in written] == ["one_proof.json", "one_loop.svg"]
+    assert "<svg" in written[1].read_text()
+    expected = sorted(["one.yaml", *(path.name for path in written)])
     assert sorted(path.name for path in tmp_path.iterdir()) == expected
     np.testing.assert_array_equal(load_controller(file).law.a, designed.controller.a)
     text = file.read_text()
@@ -432,11 +394,20 @@ def test_the_proof_is_written_into_the_controller_file_and_its_folder(
     content = json.loads(written[0].read_text())
     rig, other = content["models"]
     assert content["accepted"] == [UNSTABLE]
-    assert rig["margins"]["U"]["gain"] == pytest.approx(margins(rig_model, designed.controller).gain)
-    assert rig["margins"]["a3"]["delay"] is None or rig["margins"]["a3"]["delay"] > 0
+    assert rig["margins"]["U"]["gain_db"] == pytest.approx(margins(rig_model, designed.controller).gain_db)
+    assert float(rig["margins"]["a3"]["delay"]) == found.models[0].margins["a3"].delay
+    assert rig["poles"][0] == dict(zip(("frequency", "damping"), found.models[0].poles[0], strict=True))
+    assert rig["prediction"]["x3"].keys() == {"zero_command", "controlled"}
+    assert rig["prediction"]["x3"]["controlled"] == found.models[0].prediction["x3"][1]
+    assert rig["disk"]["phase_deg"] == found.models[0].disk.phase_deg
+    assert [float(mode["damping_kept"]) for mode in rig["modes"]] == [
+        mode.damping_kept for mode in found.models[0].modes
+    ]
     assert other["margins"] == {}
     assert not other["stable"]
-    assert {mode["kept"] > 0 for mode in rig["modes"]} == {True}
+    again = pydantic.TypeAdapter(Proof).validate_python(content)
+    assert (again.accepted, again.excitation, again.limits) == (found.accepted, found.excitation, found.limits)
+    assert again == found
 
 
 def test_models_have_the_names_of_their_files(tmp_path: Path, rig_model: LinearModel):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 from abrace_lqg.analysis.prediction import Excitation, predicted_rms
 from abrace_lqg.design import design
 from abrace_lqg.loop import sampled

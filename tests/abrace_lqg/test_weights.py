@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from abrace_core.errors import AbraceError
-from abrace_lqg.weights import KindWeights, Weights, load_weights, save_weights, signal_kind
+from abrace_core import AbraceError
+from abrace_lqg.weights import Weights, load_weights, save_weights, signal_kind
 
 LQG3 = Path(__file__).parents[2] / "src/abrace_lqg/config/lqg3.yaml"
 G = 9.80665
@@ -50,33 +50,15 @@ def test_a_signal_that_is_named_has_a_multiple_of_its_kinds_weight(tmp_path: Pat
     np.testing.assert_allclose(weights.diagonal(["x1", "x2", "a1"]), expected, rtol=1e-15)
 
 
-def test_without_relative_weights_all_signals_of_a_kind_weigh_the_same(tmp_path: Path):
-    text = LQG3.read_text()
-    path = tmp_path / "weights.yaml"
-    path.write_text(text[: text.index("relative:")] + text[text.index("noise_to_excitation:") :])
-    a1, a2, a3 = load_weights(path).diagonal(["a1", "a2", "a3"])
-    assert a1 == a2 == a3
-
-
-def test_a_signal_of_no_known_kind_is_refused():
-    with pytest.raises(AbraceError, match="'strain'"):
-        signal_kind("strain")
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         ("  command: 1.0 ", "  command: 0.0 ", "weights.command"),
-        ("  force: 0.0 ", "  force: -1.0 ", "weights.force"),
         ("  stroke: 0.0 ", "  strokes: 0.0 ", "weights.stroke: key is missing|weights.strokes: unknown key"),
-        ("displacement: 4.7102e+10", "displacement: .nan", "weights.displacement"),
         ("a1: 0.3365", "strain: 0.3170", "relative.*'strain'"),
         ("a1: 0.3365", "a1: 0.0", "relative.a1"),
         ("[a1, a2, a3]", "[a1, a1]", "measured.*each name once"),
-        ("[a1, a2, a3]", "[]", "measured"),
         ("noise_to_excitation: 0.2183", "noise_to_excitation: 0", "noise_to_excitation"),
-        ("noise_to_excitation: 0.2183", "noise_to_excitation: loud", "noise_to_excitation.*'loud'"),
-        ("measured:", "measured: [", "not YAML"),
     ],
 )
 def test_a_mistake_is_named_with_file_and_key(tmp_path: Path, old: str, new: str, message: str):
@@ -86,21 +68,10 @@ def test_a_mistake_is_named_with_file_and_key(tmp_path: Path, old: str, new: str
     assert str(path) in str(error.value)
 
 
-def test_a_missing_file_is_named(tmp_path: Path):
-    with pytest.raises(AbraceError, match=r"absent\.yaml: No such file"):
-        load_weights(tmp_path / "absent.yaml")
-
-
-def test_written_weights_read_back_with_their_relative_ones(tmp_path: Path):
-    save_weights(load_weights(LQG3), tmp_path / "w.yaml", "a test")
-    assert load_weights(tmp_path / "w.yaml") == load_weights(LQG3)
-
-
-def test_weights_of_any_size_read_back_as_they_were(tmp_path: Path):
-    kinds = KindWeights(displacement=1e22, stroke=0.0, acceleration=0.0, force=0.0, command=1.0)
-    weights = Weights(measured=["a1"], weights=kinds, noise_to_excitation=3e-9)
-    save_weights(weights, tmp_path / "w.yaml", "a test")
-    assert load_weights(tmp_path / "w.yaml") == weights
+@pytest.mark.parametrize("name", ["disp3", "damper", "drive", "Vout", "xfloor", "floor", "a", "x", "Uf", "d", "x1m"])
+def test_a_name_of_ones_own_is_not_weighed_by_its_first_letter(name: str):
+    with pytest.raises(AbraceError, match=f"signal '{name}': no weight for it, expected a name such as x1"):
+        signal_kind(name)
 
 
 def made(**changes: object) -> Weights:

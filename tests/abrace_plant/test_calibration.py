@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration: volts to SI units and back, ranges, filters, zeroing."""
+"""Calibration: volts to SI units and back, ranges, filters."""
 
 import math
 
@@ -9,8 +9,8 @@ import yaml
 from scipy import signal
 from udp_target import CHANNELS, CONFIG, RIG, device_file
 
-from abrace_core.errors import AbraceError
-from abrace_plant.devices.calibration import Calibration, CalibrationFile, read_calibration, write_calibration, zeroed
+from abrace_core import AbraceError
+from abrace_plant.devices.calibration import Calibration, CalibrationFile, read_calibration, write_calibration
 from abrace_plant.devices.device import DeviceError
 from abrace_plant.devices.file import load_device
 
@@ -20,6 +20,15 @@ RATE = 500.0
 def calibration(channels: str, commands: str = "{}", rate: float = RATE) -> Calibration:
     content = CalibrationFile(channels=yaml.safe_load(channels), commands=yaml.safe_load(commands))
     return Calibration(content, tuple(content.channels), tuple(content.commands), rate)
+
+
+def test_a_number_may_carry_its_unit():
+    found = calibration(
+        "{x1: {gain: 1, unit: um, range: [-9, 9], delay: 0.3 ms, filter: {order: 2, frequency: 0.04 kHz}}}"
+    )
+    channel = found.file.channels["x1"]
+    assert (channel.delay, channel.filter.frequency) == (0.0003, 40.0)
+    np.testing.assert_allclose(found.measured(np.array([2.0]))[0], [2e-6], rtol=1e-12)
 
 
 def test_a_value_is_sign_times_gain_times_raw_less_offset_in_si_units():
@@ -97,6 +106,23 @@ def test_a_filter_begins_at_its_first_reading_and_anew_after_a_reset():
         assert [found.measured(np.array([level]))[0][0] for _ in range(4)] == pytest.approx([level] * 4)
 
 
+@pytest.mark.parametrize("order", [1, 2])
+def test_after_a_reading_that_is_no_number_a_filter_begins_anew_and_the_other_channels_go_on(order):
+    limits = f"gain: 1, unit: m, range: [-9, 9], filter: {{order: {order}, frequency: 20}}"
+    text = f"{{x1: {{{limits}}}, x2: {{{limits}}}, x3: {{gain: 1, unit: m, range: [-9, 9]}}}}"
+    found, undisturbed = calibration(text), calibration(text)
+    levels = [1.0, 3.0, -2.0, 2.0]
+    broken = [np.nan, 3.0, -2.0, 2.0]
+    expected = [undisturbed.measured(np.full(3, level))[0] for level in [7.0, *levels]][2:]
+    fresh = calibration(text)
+    begun = [fresh.measured(np.full(3, level))[0] for level in levels[1:]]
+    found.measured(np.full(3, 7.0))
+    values = [found.measured(np.array([wrong, level, wrong]))[0] for wrong, level in zip(broken, levels, strict=True)]
+    assert np.isnan(values[0]).tolist() == [True, False, True]
+    for value, at_first, as_before in zip(values[1:], begun, expected, strict=True):
+        assert value == pytest.approx([at_first[0], as_before[1], at_first[2]])
+
+
 FILE = CalibrationFile(
     channels={
         "x1": {"gain": 10.0, "unit": "mm", "range": (-10.0, 10.0), "offset": 0.25},
@@ -106,63 +132,22 @@ FILE = CalibrationFile(
 )
 
 
-def readings(file: CalibrationFile, raw: np.ndarray) -> np.ndarray:
-    return np.array([Calibration(file, ("x1", "a1"), (), RATE).measured(row)[0] for row in raw])
-
-
-def test_after_zeroing_the_mean_is_zero_and_the_file_keeps_it(tmp_path):
-    raw = np.random.default_rng(2).normal([0.75, -0.4], 0.001, (500, 2))
-    file = zeroed(FILE, ("x1", "a1"), readings(FILE, raw), ("x1", "a1"), limit=0.1, rest=0.01)
+def test_a_written_file_is_read_back_and_its_zero_counts_to_the_range(tmp_path):
+    channels = {"x1": FILE.channels["x1"].model_copy(update={"zero": 0.5}), "a1": FILE.channels["a1"]}
+    file = FILE.model_copy(update={"channels": channels})
     write_calibration(tmp_path / "new.yaml", file)
     assert read_calibration(tmp_path / "new.yaml") == file
-    assert np.abs(readings(file, raw).mean(axis=0)).max() < 1e-12
-    assert file.channels["x1"].offset == 0.25, "as calibrated"
-    assert file.channels["x1"].zero == pytest.approx(0.5, abs=0.001)
-    with pytest.raises(AbraceError, match=r"channels.x1.range: \[-10.0, 10.0\], expected its ends around 20.25"):
-        Calibration(
-            FILE.model_copy(
-                update={"channels": {**file.channels, "x1": file.channels["x1"].model_copy(update={"zero": 20.0})}}
-            ),
-            ("x1", "a1"),
-            (),
-            RATE,
-        )
     assert [path.name for path in tmp_path.iterdir()] == ["new.yaml"]
-
-
-def test_only_the_named_channels_are_zeroed():
-    raw = np.random.default_rng(2).normal([0.75, -0.4], 0.001, (500, 2))
-    file = zeroed(FILE, ("x1", "a1"), readings(FILE, raw), ("x1",), limit=0.1, rest=0.01)
-    assert file.channels["a1"] == FILE.channels["a1"]
-
-
-@pytest.mark.parametrize(
-    ("raw", "message"),
-    [
-        (np.full((500, 2), [3.0, 0.0]), "zeroing: x1 is 0.0275 m from its calibrated offset, expected at most 0.01"),
-        (
-            np.outer(np.sin(np.arange(500)), [1.0, 0.0]),
-            "zeroing: x1 is not at rest (0.00707 m, expected at most 0.001)",
-        ),
-        (np.outer(np.linspace(0, 0.9, 500), [0.0, 1.0]), "a1 is not at rest"),
-    ],
-)
-def test_zeroing_is_refused_for_a_channel_that_moves_or_reads_too_much(raw, message):
-    with pytest.raises(AbraceError) as refused:
-        zeroed(FILE, ("x1", "a1"), readings(FILE, raw), ("x1", "a1"), limit=0.1, rest=0.01)
-    assert message in str(refused.value)
-
-
-@pytest.mark.parametrize("values", [np.zeros((1, 2)), np.zeros((500, 3)), np.full((500, 2), math.nan)])
-def test_zeroing_is_refused_without_readings_to_go_by(values):
-    with pytest.raises(AbraceError, match=r"zeroing: readings of shape"):
-        zeroed(FILE, ("x1", "a1"), values, ("x1",), limit=0.1, rest=0.01)
+    channels = {**channels, "x1": FILE.channels["x1"].model_copy(update={"zero": 20.0})}
+    with pytest.raises(AbraceError, match=r"channels.x1.range: \[-10.0, 10.0\], expected its ends around 20.25"):
+        Calibration(FILE.model_copy(update={"channels": channels}), ("x1", "a1"), (), RATE)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("unit: mm", "unit: kN", "channels.x1.unit: 'kN', expected one of m, cm, mm, in"),
+        ("unit: mm", "unit: kN", "channels.x1.unit: 'kN' is another kind of quantity, expected one as m"),
+        ("unit: mm", "unit: ''", "channels.x1.unit: '' is no unit, expected a combination of kg"),
         ("x3:", "x4:", "channels: no entry x3; channels.x4: unknown, expected x1, x2, x3, xf"),
         ("range: [-10.0, 10.0]", "range: [1.0, 10.0]", "channels.x1.range: [1.0, 10.0], expected its ends around 0"),
         ("x1: {gain: 10.0", "x1: {gain: 0.0", "channels.x1.gain: 0.0, expected"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from abrace_plant.rig import published
-from abrace_plant.rig.characteristics import as_json, characterize, comparison, force_response
+from abrace_plant.rig.characteristics import as_json, characterize, force_response
 from abrace_plant.rig.characteristics_figure import characteristics_figure
 from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.motion import RigMotion
@@ -20,15 +20,6 @@ RIG = load_rig(CONFIGURATION / "ncree_three_storey.yaml")
 @pytest.fixture(scope="module")
 def found():
     return characterize(RIG)
-
-
-def test_published_numbers_are_the_papers():
-    assert [frequency for frequency, _ in published.BARE] == [6.673, 21.783, 37.506]
-    assert [ratio for _, ratio in published.ZERO_COMMAND] == [0.0138, 0.0246, 0.0132]
-    assert published.EXTRA[0][0] * published.EXTRA[0][1] == pytest.approx(0.696)
-    assert published.EXTRA[2][0] == pytest.approx(abs(-8.263 + 134.815j))
-    np.testing.assert_allclose(published.SHAPE, (0.43, 0.79, 1.0), atol=0.005)
-    np.testing.assert_allclose(published.STROKE_RATIO, 0.80, atol=0.005)
 
 
 def test_the_papers_rig_is_the_papers(found):
@@ -79,12 +70,6 @@ def test_a_command_delay_is_part_of_the_bench_lag():
     assert characterize(late).braces[0].bench_lag == pytest.approx(0.0023, rel=0.01)
 
 
-def test_poles_of_a_rig_without_local_modes_are_all_the_buildings():
-    alone = characterize(replace(RIG, local_modes=()))
-    assert len(alone.zero_command) == 3
-    assert alone.extra == ()
-
-
 @pytest.mark.parametrize("name", ["five_storey", "ten_storey", "single_storey"])
 def test_any_rig_is_characterized(name):
     rig = load_rig(CONFIGURATION / f"{name}.yaml")
@@ -107,11 +92,3 @@ def test_an_antiresonance_that_is_not_there_is_null_in_the_file():
     assert np.isnan(found.braces[0].antiresonances).all(), "without velocity feedback the building cannot be felt in f"
     assert as_json(found, rig)["braces"][0]["antiresonances"] == [None] * 3
     assert "comparison" not in as_json(found, rig)
-
-
-def test_comparison_has_a_row_for_every_published_number(found):
-    rows = comparison(found)
-    assert len(rows) == 2 * 9 + 2 + 3 + 2 + 1
-    for quantity, unit, ours, paper in rows:
-        tolerance = 0.11 if quantity.startswith(("bare", "first")) else 0.05
-        assert ours == pytest.approx(paper, rel=tolerance), f"{quantity} [{unit}]"

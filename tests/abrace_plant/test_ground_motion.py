@@ -1,19 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 from abrace_plant.records.files import read_record
-from abrace_plant.records.intensity import integrate
+from abrace_plant.records.measures import integrate
+from abrace_plant.records.options import Treatment
 from abrace_plant.records.record import Record
-from abrace_plant.records.treatment import BASELINES, FADE, Treatment, prepare, without_baseline
+from abrace_plant.records.treatment import BASELINES, FADE, prepare, without_baseline
 
 G = 9.80665
-KOBE = Path(__file__).parents[3] / "shared" / "ground_motions" / "RSN1106_KOBE_KJM000.AT2"
 
 
 def tones(time: np.ndarray, frequencies: tuple[float, ...] = (0.7, 3.0, 9.7, 15.3, 19.9)) -> np.ndarray:
@@ -53,15 +52,6 @@ def test_nothing_wraps_round_from_the_end_of_a_record_to_its_start():
     assert motion[14_980] > 0.5
 
 
-def test_motion_at_a_recorded_instant_is_not_shifted():
-    acceleration = np.zeros(1001)
-    acceleration[400] = 1.0
-    motion = prepare(Record("pulse", 0.02, acceleration), 500.0)
-    peak = 400 * 10
-    assert np.abs(motion).argmax() == peak
-    np.testing.assert_allclose(motion[peak - 200 : peak], motion[peak + 200 : peak : -1], atol=1e-12)
-
-
 def test_band_limit_removes_what_is_above_and_keeps_what_is_well_below():
     kept, removed = (1.0, 5.0, 7.9), (10.5, 19.0)
     motion = prepare(recorded(0.01, frequencies=kept + removed), 500.0, Treatment(band_limit=10.0))
@@ -73,14 +63,6 @@ def test_band_limit_removes_what_is_above_and_keeps_what_is_well_below():
 def test_band_limit_beyond_what_the_record_or_the_rig_holds_changes_nothing(period, rate):
     record = recorded(period)
     assert prepare(record, rate, Treatment(band_limit=200.0)).tobytes() == prepare(record, rate).tobytes()
-
-
-def test_zero_duration_and_zero_peak_mean_the_whole_record_as_recorded():
-    record = read_record("el_centro")
-    motion = prepare(record, 500.0)
-    assert len(motion) == 5371 * 5 + 1
-    assert np.abs(motion).max() == pytest.approx(np.abs(record.acceleration).max(), rel=0.02)
-    assert np.corrcoef(motion[::5], record.acceleration)[0, 1] > 0.99999
 
 
 @pytest.mark.parametrize("duration", [0.0, 30.0, 100.0])
@@ -114,14 +96,6 @@ def test_motion_cut_before_its_peak_keeps_the_scale_of_the_whole():
     assert np.abs(prepare(record, 500.0, Treatment(peak_acceleration=1.0, duration=1.5))).max() < 0.9
 
 
-@pytest.mark.skipif(not KOBE.exists(), reason=f"the Kobe record is not the project's to ship; no {KOBE.name} beside it")
-def test_kobe_is_played_for_60_s_at_its_pga():
-    motion = prepare(read_record(KOBE), 500.0, Treatment(peak_acceleration=0.1 * G, duration=60.0))
-    assert motion.shape == (30_000,)
-    assert np.abs(motion).max() == 0.1 * G
-    assert np.abs(motion).argmax() / 500.0 == pytest.approx(8.52, abs=0.02)
-
-
 @settings(max_examples=40)
 @given(
     rate=st.sampled_from([100.0, 256.0, 500.0, 1000.0]),
@@ -151,26 +125,17 @@ def test_bad_sample_rate_is_refused_with_what_was_expected(rate, message):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"peak_acceleration": -1.0}, "peak_acceleration -1.0: expected 0 or more"),
-        ({"peak_acceleration": float("inf")}, "peak_acceleration inf"),
-        ({"duration": -0.1}, "duration -0.1: expected 0 or more"),
-        ({"band_limit": -5.0}, "band_limit -5.0"),
-        ({"band_limit": 0.025}, "band_limit 0.025 Hz: expected 0 or at least 0.1 Hz"),
-        ({"duration": "1.0"}, "duration '1.0': expected 0 or more"),
-        ({"taper": None}, "taper None: expected 0 or more"),
-        ({"low_cut": float("nan")}, "low_cut nan"),
-        ({"taper": -1.0}, "taper -1.0"),
-        ({"time_scale": 0.0}, "time_scale 0.0: expected more than 0"),
-        ({"baseline": "cubic"}, "baseline 'cubic': expected one of none, constant, linear, quadratic"),
-        ({"duration": 1e-4}, "burst: duration 0.0001 s, expected a sample or more"),
-        ({"taper": 20.0}, "burst: taper 20 s, expected at most half of the motion's 39.98 s"),
-        ({"taper": 15.0, "time_scale": 0.5}, "burst: taper 15 s, expected at most half of the motion's 19.99 s"),
-        ({"low_cut": 25.0}, "burst: low_cut 25 Hz, expected less than 25 Hz"),
-        ({"low_cut": 10.0, "band_limit": 8.0}, "burst: low_cut 10 Hz, expected less than 8 Hz"),
+        ({"peak_acceleration": -1.0}, ": peak_acceleration: -1.0, expected greater than or equal to 0"),
+        ({"band_limit": 0.025}, ": band_limit: 0.025, expected 0 or at least 0.1 Hz"),
+        ({"time_scale": 0.0}, ": time_scale: 0.0, expected greater than or equal to 0.001"),
+        ({"baseline": "cubic"}, ": baseline: 'cubic', expected 'none', 'constant', 'linear' or 'quadratic'"),
+        ({"duration": 1e-4}, " burst: duration 0.0001 s, expected a sample or more"),
+        ({"taper": 20.0}, " burst: taper 20 s, expected at most half of the motion's 39.98 s"),
+        ({"low_cut": 10.0, "band_limit": 8.0}, " burst: low_cut 10 Hz, expected less than 8 Hz"),
     ],
 )
 def test_bad_treatment_is_refused_with_what_was_expected(arguments, message):
-    with pytest.raises(AbraceError, match=f"ground motion {message}"):
+    with pytest.raises(AbraceError, match=f"^ground motion{message}"):
         prepare(recorded(0.02), 500.0, Treatment(**arguments))
 
 
@@ -195,19 +160,6 @@ def test_record_of_zeros_stays_zero_and_of_two_samples_finite_under_every_treatm
 def test_record_of_zeros_cannot_be_scaled():
     with pytest.raises(AbraceError, match="zero throughout"):
         prepare(Record("still", 0.01, np.zeros(100)), 500.0, Treatment(peak_acceleration=1.0))
-
-
-@pytest.mark.parametrize("rate", [50.0, 100.0, 200.0, 256.0, 100 / 3])
-@pytest.mark.parametrize("phase", [0.0, 1.3])
-def test_every_sinusoid_of_the_pass_band_up_to_30_hz_is_resampled_within_1e_5(rate, phase):
-    time = np.arange(0, 24, 1 / rate)
-    highest = min(0.8 * rate / 2, 30.0)
-    for frequency in np.linspace(0.05, highest, 17):
-        motion = prepare(Record("sinusoid", 1 / rate, np.sin(2 * np.pi * frequency * time + phase)), 500.0)
-        moments = np.arange(len(motion)) / 500.0
-        inner = (moments > 6) & (moments < 18)
-        error = np.abs(motion - np.sin(2 * np.pi * frequency * moments + phase))[inner].max()
-        assert error < 1e-5, f"{frequency} Hz"
 
 
 @settings(max_examples=30)
@@ -272,8 +224,3 @@ def test_taper_is_a_trapezoid_over_the_record():
     motion = prepare(record, 100.0, Treatment(taper=2.0, duration=12.0))
     expected = np.interp(np.arange(1200) / 100, [0, 2, 8, 10], [0, 1, 1, 0])
     np.testing.assert_allclose(motion, expected, atol=1e-12)
-
-
-def test_peak_is_met_exactly_after_every_treatment():
-    treatment = Treatment("quadratic", 0.5, 1.0, 0.2, 20.0, peak_acceleration=1.7)
-    assert np.abs(prepare(read_record("el_centro"), 500.0, treatment)).max() == 1.7

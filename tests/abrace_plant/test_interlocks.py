@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 import yaml
 
-from abrace_core.signals import channel_names
+from abrace_core.model.signals import channel_names
 from abrace_plant.live.loop import rig_outputs
 from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.interlocks import Interlocks
 from abrace_plant.rig.model import Interlock
-from abrace_plant.rig.over_range import OverRange
-from abrace_plant.rig.sensors import Measurement, Sensor
+from abrace_plant.rig.sensors import Measurement, OverRange, Sensor
 
 SOURCE = Path(__file__).parents[2] / "src"
 NAMES = channel_names(3, [2])
@@ -47,7 +46,7 @@ def noise(rig, samples: int, seed: int = 1) -> np.ndarray:
 
 def tripped(interlocks: Interlocks, readings: np.ndarray, command: float = 0.0, **table: float):
     """The first trip and its sample; (None, samples) if there is none."""
-    given = {"table_velocity": 0.0, "table_displacement": 0.0, "clipped": 0} | table
+    given = {"table_velocity": 0.0, "stopping_place": 0.0, "clipped": 0} | table
     for k, reading in enumerate(readings):
         if found := interlocks.check(reading, [command], **given):
             return found, k
@@ -94,7 +93,7 @@ def test_an_interlock_that_only_warns_is_reported_and_stops_nothing(rig):
 
 def test_after_a_reset_every_time_counts_anew(rig):
     interlocks, readings = Interlocks(rig), noise(rig, 20)
-    high = {"table_displacement": 0.3}
+    high = {"stopping_place": 0.3}
     assert tripped(interlocks, readings[:4], **high)[0] is None
     interlocks.reset()
     assert tripped(interlocks, readings[4:8], **high)[0] is None
@@ -227,14 +226,12 @@ def test_the_ends_of_the_range_are_those_where_a_measurement_clips():
     measurement, over_range = Measurement(sensors, 1, 0.002), OverRange(sensors)
     for share, bits in ((1.2, 0b11), (-1.2, 0b11), (-1.0, 0b11), (0.97, 0b10), (0.9, 0), (-0.9, 0), (0.0, 0)):
         assert over_range.check(measurement.read(share * np.array([6.0, 28000.0]))) == bits, share
-    assert over_range.counts.tolist() == [3, 4]
 
 
-def test_a_rig_with_more_channels_than_a_message_has_bits_is_watched_and_counted_in_all():
+def test_a_rig_with_more_channels_than_a_message_has_bits_is_watched_in_all():
     sensors = [Sensor(range=1.0, noise=0.0, bits=8)] * 70
     over_range = OverRange(sensors)
     assert over_range.check(np.full(70, 1.0)) == 2**70 - 1
-    assert over_range.counts.sum() == 70
 
 
 def test_a_start_or_a_reset_in_motion_trips_nothing(rig):

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from abrace_core.model.simulation import simulate
 from abrace_core.safety.table_stop import Table
-from abrace_core.simulation import simulate
 from abrace_plant.rig.actuator import Actuator
 from abrace_plant.rig.building import Building
 from abrace_plant.rig.file import load_rig
@@ -59,53 +59,6 @@ def test_linear_motion_is_the_exact_discrete_model(rig):
     expected = simulate(rig.discrete_model(), np.column_stack([ground, commands]))
     found = motion(rig, ground, commands)
     assert (np.abs(found - expected).max(axis=0) < 1e-12 * np.abs(expected).max(axis=0)).all()
-
-
-def test_a_delayed_command_acts_that_much_later():
-    """Through the actuator's lag the force is there exactly when the delay is over, between samples as well."""
-    step = np.full((6, 1), 1000.0)
-    still = np.zeros(6)
-    force = motion(with_actuators(RIG, velocity_feedback=0.0, integral_rate=1e-9), still, step)[:, 7]
-    for delay in (0.0007, 0.002, 0.0033):
-        late = motion(with_actuators(RIG, velocity_feedback=0.0, integral_rate=1e-9, command_delay=delay), still, step)
-        since = np.maximum(np.arange(6) * 0.002 - delay, 0.0)
-        np.testing.assert_allclose(late[:, 7], 1000.0 * (1 - np.exp(-since / 0.0008)), atol=0.01)
-    np.testing.assert_allclose(force, 1000.0 * (1 - np.exp(-np.arange(6) * 0.002 / 0.0008)), atol=0.01)
-
-
-def test_static_motion_settles_where_the_model_says():
-    found = motion(RIG, np.zeros(60_000), np.full((60_000, 1), 5000.0))[-1]
-    still = (-RIG.model.c @ np.linalg.solve(RIG.model.a, RIG.model.b))[:, 1] * 5000.0
-    np.testing.assert_allclose(found[:4], still[:4], rtol=1e-4)
-    assert found[7] == pytest.approx(5000.0, rel=1e-6)
-
-
-@settings(max_examples=20)
-@given(
-    scale=st.floats(0.01, 0.5),
-    frequency=st.floats(0.3, 20.0),
-    ground=st.floats(0.0, 0.5),
-    capacity=st.sampled_from([RIG.capacity[0], 1e12]),
-)
-def test_superposition_holds_below_the_limits(scale, frequency, ground, capacity):
-    rig = with_actuators(RIG, capacity=capacity)
-    swing = np.sin(2 * np.pi * frequency * TIME)
-    command = scale * 3000.0 * np.cos(3.0 * TIME)[:, None]
-    of_ground = motion(rig, ground * swing, np.zeros((1000, 1)))
-    of_command = motion(rig, np.zeros(1000), command)
-    both = motion(rig, ground * swing, command)
-    np.testing.assert_allclose(both, of_ground + of_command, atol=1e-9 * np.abs(both).max())
-
-
-@pytest.mark.parametrize(
-    ("limit", "value"), [("capacity", 8e3), ("flow_limit", 2e5), ("stroke_limit", 0.004)], ids=lambda value: str(value)
-)
-def test_superposition_does_not_hold_above_any_limit(limit, value):
-    command = 9e3 * np.sin(2 * np.pi * 1.15 * TIME)[:, None]
-    rig = with_actuators(RIG, **(UNLIMITED | {limit: value}))
-    still = np.zeros(1000)
-    once, twice = motion(rig, still, command / 2), motion(rig, still, command)
-    assert np.abs(twice - 2 * once).max(axis=0)[2] > 0.01 * np.abs(twice).max(axis=0)[2]
 
 
 # --- energy ----------------------------------------------------------------------------------------------------------
@@ -188,8 +141,6 @@ def test_beyond_its_stroke_the_actuator_stands_on_its_stop():
         {"capacity": 8000.0},
         {"flow_limit": 1e6, "command_delay": 0.0013},
         {"stroke_limit": 0.03},
-        {"capacity": 2e4, "flow_limit": 4e6},
-        {"capacity": 2e4, "stroke_limit": 0.06},
         {"capacity": 8e3, "flow_limit": 1.2e7, "stroke_limit": 0.05},
     ],
     ids="-".join,
@@ -199,7 +150,7 @@ def test_limited_motion_converges_with_the_square_of_the_substep(limits):
     time = np.arange(750) / RIG.sample_rate
     ground = 3.0 * np.sin(7.3 * time) + np.sin(23.0 * time)
     command = 2.8e4 * np.sin(15.0 * time)[:, None]
-    exact = motion(rig, ground, command, refinement=512)
+    exact = motion(rig, ground, command, refinement=256)
     linear = motion(
         with_actuators(RIG, **UNLIMITED, command_delay=rig.braces[0].actuator.command_delay), ground, command
     )

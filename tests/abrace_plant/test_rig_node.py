@@ -5,20 +5,33 @@ from __future__ import annotations
 
 import threading
 import time
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import domain_coordinator
+import numpy as np
 import pytest
 import rclpy
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rclpy.lifecycle import TransitionCallbackReturn
 
+from abrace_core.files.installed import find_file
+from abrace_core.safety.rig_safety import State
+from abrace_core.safety.stop_senders import UNNAMED
+from abrace_plant.devices import device as device_module
+from abrace_plant.devices.device import DeviceError, open_device
 from abrace_plant.devices.simulated import SimulatedRig
-from abrace_plant.nodes.rig_node import RigNode, time_limits
+from abrace_plant.live.loop import COMMAND
+from abrace_plant.nodes.plant import PARAMETERS
+from abrace_plant.nodes.rig_node import RIG, RigNode
+from abrace_plant.rig.file import load_rig
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+FORCE = 5e3
+"""Of a step [N]: a greater one trips the interlock for jumps where this computer misses samples."""
 REFUSAL = "the device of the former run has not answered yet, expected that run to be over"
 
 
@@ -31,16 +44,22 @@ class SlowDevice(SimulatedRig):
         self.answering = threading.Event()
         self.answering.set()
         self.safe = self.closed = False
+        self.sent: list[float] = []
+        self.missed = 0
+        """Most samples in a row that were missed."""
 
-    def exchange(self, command, table):
+    def exchange(self, command, table, *target):
+        self.sent.append(command[0])
         self.answering.wait()
-        return super().exchange(command, table)
+        reading = super().exchange(command, table, *target)
+        self.missed = max(self.missed, reading.missed)
+        return reading
 
     def make_safe(self) -> None:
         self.safe = True
 
     def close(self) -> None:
-        self.node.tell_rest()  # as after each message that arrives meanwhile
+        self.node.notify_rest()  # as after each message that arrives meanwhile
         time.sleep(0.2)
         self.closed = True
 
@@ -49,7 +68,7 @@ class SlowRig(RigNode):
     """A rig by the clock with a `SlowDevice`."""
 
     def __init__(self) -> None:
-        super().__init__("slow_rig", time_limits(10.0, 1000))
+        super().__init__("slow_rig", PARAMETERS)
         self.devices: list[SlowDevice] = []
 
     def make_device(self) -> SlowDevice:
@@ -64,6 +83,11 @@ class SlowRig(RigNode):
         """Ask for a transition as its service does; whether it went."""
         request = ChangeState.Request(transition=Transition(label=label))
         return self._on_change_state(request, ChangeState.Response()).success
+
+
+@pytest.fixture(scope="module")
+def rig_file():
+    return load_rig(find_file(RIG, "abrace_plant", "config", ".yaml", "rig"))
 
 
 @pytest.fixture
@@ -84,6 +108,11 @@ def start(monkeypatch) -> Iterator:
         for node in nodes:
             for device in node.devices:
                 device.answering.set()
+            with node.lock:
+                if node.run is not None:
+                    node.cleanup()
+        until(lambda: all(node.run is None for node in nodes))  # a thread would go on with a node that is destroyed
+        for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
 
@@ -106,10 +135,21 @@ def test_deactivate_answers_when_the_device_is_safe_and_closed_and_the_next_run_
     assert rig.go("deactivate")
 
 
+def test_a_stop_is_logged_once_though_its_senders_name_becomes_known_later(start, monkeypatch):
+    rig, lines = start(), []
+    monkeypatch.setattr(rig, "get_logger", lambda: SimpleNamespace(error=lines.append, info=lines.append))
+    for pressed in (f"pressed by {UNNAMED}", "pressed by /panel"):
+        rig.safety.press(pressed)
+        rig.publish_diagnostics()
+    assert rig.reported_fault == "protective stop: pressed by /panel"
+    (line,) = lines
+    assert line.startswith(f"fault: protective stop: pressed by {UNNAMED}; ")
+
+
 def test_a_process_ends_only_when_the_device_is_safe_and_closed(start):
     rig = start()
     until(lambda: rig.loop.sequence > 20)
-    assert rig.leave() > 0.2
+    assert rig.begin_shutdown() > 0.2
     until(lambda: rig.at_rest)
     assert rig.devices[0].safe
     assert rig.devices[0].closed
@@ -123,24 +163,93 @@ def test_a_run_that_ends_by_itself_finishes_the_node_after_its_device_is_closed(
     until(lambda: rig.at_rest)
 
 
-def test_while_the_device_of_the_former_run_does_not_answer_another_run_is_refused(start):
+def test_a_rig_whose_device_does_not_answer_stays_active_and_is_latched_until_a_person_clears_it(start):
     rig = start()
     rig.ramp_time = 0.0  # so that it is not waited for any longer
-    until(lambda: rig.loop.sequence > 20)
+    until(lambda: rig.loop.began >= 0)
     device = rig.devices[0]
     device.answering.clear()
     time.sleep(0.01)
-    assert rig.go("deactivate")
+    assert not rig.go("deactivate")
+    assert rig.active
     assert not rig.go("activate")
-    assert str(rig._refusal) == REFUSAL
-    assert rig.go("cleanup")
-    assert not rig.go("configure"), "two loops would use one safety"
+    device.answering.set()
+    until(lambda: rig.safety.state is State.LATCHED)
+    assert rig.safety.cause == "not at rest 0.1 s after the deactivation"
+    assert rig.run is not None
+    until(lambda: not rig.loop.moving())
+    rig.safety.clear()
+    until(lambda: rig.safety.state is State.RUNNING)
+    rig.ramp_time = 3.0
+    assert rig.go("deactivate")
+    assert device.safe
+    assert device.closed
+
+
+def test_a_node_that_is_reset_while_its_device_does_not_answer_sends_no_step_to_zero(start):
+    rig = start(late_limit=1000, command_timeout=2.0)
+    until(lambda: rig.loop.began >= 0)
+    device = rig.devices[0]
+
+    rig.loop._unwatched_limit = np.inf  # nobody spins the node
+
+    def push() -> bool:
+        with rig.lock:
+            if not rig.loop.has_answer(COMMAND):
+                rig.loop.receive_command(rig.run_number, rig.loop.sequence, [FORCE], "")
+        return device.sent[-1] == FORCE
+
+    until(push)
+    device.answering.clear()
+    time.sleep(0.01)
+    rig.on_error(None)
+    assert rig.on_configure(None) == TransitionCallbackReturn.FAILURE, "two loops would use one safety"
     assert str(rig._refusal) == REFUSAL
     device.answering.set()
     until(lambda: rig.at_rest)
+    steps = np.diff(device.sent[device.sent.index(FORCE) :])
+    assert device.sent[-1] == 0.0
+    assert np.abs(steps).max() < FORCE * np.pi / 2 / 250 * 1.01 * (1 + device.missed), "the ramp"
     assert device.safe
     assert device.closed
-    assert rig.exit_code is None, "an answer after the clean-up is no error"
-    assert all(map(rig.go, ["configure", "activate"]))
-    until(lambda: rig.loop.sequence > 20)
-    assert rig.go("deactivate")
+    assert rig.exit_code is None, "an answer after the reset is no error"
+    assert rig.safety.state is State.UNCONFIGURED, rig.safety.cause
+
+
+def test_a_device_that_does_not_open_is_given_up_and_one_that_opens_later_is_closed(rig_file, monkeypatch):
+    monkeypatch.setattr(device_module, "OPEN_TIME", 0.05)
+    opens, done = threading.Event(), []
+
+    class Hanging(SimulatedRig):
+        def open(self):
+            opens.wait(20)
+
+        def make_safe(self):
+            done.append("safe")
+
+        def close(self):
+            done.append("closed")
+
+    with pytest.raises(DeviceError, match=r"the device has not opened within 0\.05 s"):
+        open_device(Hanging(rig_file, 1, by_the_clock=True))
+    assert not done
+    opens.set()
+    until(lambda: done == ["safe", "closed"])
+
+
+def test_a_device_that_raises_what_nobody_foresaw_while_it_opens_is_made_safe_and_closed(rig_file):
+    done = []
+
+    class Broken(SimulatedRig):
+        def open(self):
+            raise RuntimeError("no driver")
+
+        def make_safe(self):
+            done.append("safe")
+
+        def close(self):
+            done.append("closed")
+
+    with pytest.raises(RuntimeError, match="no driver"):
+        open_device(Broken(rig_file, 1, by_the_clock=True))
+    assert done == ["safe", "closed"]

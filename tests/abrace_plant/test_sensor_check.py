@@ -8,9 +8,9 @@ import pytest
 from laboratory import Laboratory
 from udp_target import CHANNELS, RIG
 
-from abrace_core.errors import AbraceError
-from abrace_core.noise import banded_noise
-from abrace_core.signals import unit
+from abrace_core import AbraceError
+from abrace_core.model.noise import banded_noise
+from abrace_core.model.signals import unit
 from abrace_plant.devices.calibration import Calibration, CalibrationFile
 from abrace_plant.devices.sensor_check import check_sensors
 from abrace_plant.rig.model import Rig
@@ -72,6 +72,14 @@ def test_a_sensor_that_failed_is_named(shaken, channel, kind, name):
     assert not {other for other, texts in found.items() if other != channel and name in texts}
 
 
+def test_a_table_at_rest_is_not_judged_by_the_noise_of_a_floor():
+    noisy = CHANNELS.index("a3")
+    for seed in range(40):  # a second each: few lines, which by chance may agree
+        readings = Measurement(RIG.channel_sensors, seed, 1 / RIG.sample_rate).record(np.zeros((500, len(CHANNELS))))
+        readings[:, noisy] += np.random.default_rng(seed).normal(0.0, 0.3, 500)
+        assert faults(readings) == {"a3": ("noisy",)}
+
+
 def test_a_channel_that_reaches_its_end_is_named(at_rest):
     readings = at_rest.copy()
     readings[700:703, 4] = RIG.sensors.acceleration.range
@@ -104,34 +112,47 @@ def test_a_channel_of_an_asymmetric_range_is_named_with_the_end_at_which_it_is(a
     assert "3 samples at the lower end" in recorded.channels[channel].faults[0], "of a bag, which has no ranges"
 
 
-@pytest.mark.parametrize("pair", [("a1", "a2"), ("a2", "a3"), ("a1", "a3")])
-def test_swapped_accelerometers_are_named(shaken, pair):
+@pytest.mark.parametrize(
+    ("pair", "named"),
+    [(("a1", "a2"), {"a1", "a2"}), (("a1", "a3"), {"a1", "a3"}), (("x2", "x3"), {"a2", "a3"})],
+)
+def test_swapped_sensors_are_named_displacements_by_their_floors(shaken, pair, named):
     readings = shaken.copy()
     one, other = (CHANNELS.index(name) for name in pair)
     readings[:, [one, other]] = readings[:, [other, one]]
     found = faults(readings)
-    assert {name for name, texts in found.items() if "swapped" in texts} == set(pair), found
+    assert {name for name, texts in found.items() if "swapped" in texts} == named, found
 
 
-def test_swapped_displacement_sensors_are_found_where_their_floors_are(shaken):
+@pytest.mark.parametrize(
+    ("channel", "factor", "fault"),
+    [
+        *((name, -1.0, "wrong sign") for name in ("a1", "a2", "a3", "xf", "w")),
+        *((name, factor, "gain") for name in ("a2", "w") for factor in (0.8, 1.25)),
+    ],
+)
+def test_a_wrong_sign_or_gain_is_named(shaken, channel, factor, fault):
     readings = shaken.copy()
-    readings[:, [1, 2]] = readings[:, [2, 1]]
-    found = faults(readings)
-    assert {"a2", "a3"} == {name for name, texts in found.items() if "swapped" in texts}, found
+    readings[:, CHANNELS.index(channel)] *= factor
+    assert faults(readings) == {channel: (fault,)}
 
 
-@pytest.mark.parametrize("channel", ["a1", "a2", "a3", "xf"])
-def test_a_wrong_sign_is_named(shaken, channel):
+UNITS = [("a2", 1 / 9.80665, "g"), ("x3", 1000.0, "mm"), ("a1", -100.0, "cm/s^2"), ("w", 1 / 9.80665, "g")]
+
+
+@pytest.mark.parametrize(("channel", "factor", "unit"), UNITS)
+def test_a_channel_in_another_unit_is_named_with_the_unit(shaken, channel, factor, unit):
     readings = shaken.copy()
-    readings[:, CHANNELS.index(channel)] *= -1
-    assert faults(readings) == {channel: ("wrong sign",)}
+    readings[:, CHANNELS.index(channel)] *= factor
+    texts = [text for one in check_sensors(RIG, readings).channels for text in one.faults if text.startswith("unit")]
+    assert [text.partition(",")[0] for text in texts] == [f"unit: {channel} reads as if in {unit}"]
 
 
-@pytest.mark.parametrize("factor", [0.8, 1.25])
-def test_a_wrong_gain_is_named(shaken, factor):
+def test_all_accelerometers_in_another_unit_are_named(shaken):
     readings = shaken.copy()
-    readings[:, CHANNELS.index("a2")] *= factor
-    assert faults(readings) == {"a2": ("gain",)}
+    names = [name for name in CHANNELS if name == "w" or name.startswith("a")]
+    readings[:, [CHANNELS.index(name) for name in names]] /= 9.80665
+    assert faults(readings) == dict.fromkeys(names, ("unit",))
 
 
 @pytest.mark.parametrize(

@@ -6,18 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from abrace_core.errors import AbraceError
-from abrace_core.noise import banded_noise
+from abrace_core import AbraceError
+from abrace_core.model.table_signals import table_noise
 from abrace_core.safety.table_stop import Table
-from abrace_core.table_signals import table_noise
 from abrace_plant.records.files import KNOWN_RECORDS, read_record
+from abrace_plant.records.options import Treatment
 from abrace_plant.records.record import Record
-from abrace_plant.records.table_motion import RECORD_REMEDIES, SIGNAL_REMEDIES, check_motion, table_motion
-from abrace_plant.records.treatment import Treatment, prepare
+from abrace_plant.records.table_motion import RECORD_REMEDIES, check_motion, table_demands
+from abrace_plant.records.treatment import prepare
 from abrace_plant.rig.file import load_rig
 
 ROOT = Path(__file__).parents[2]
-KOBE = ROOT.parent / "shared" / "ground_motions" / "RSN1106_KOBE_KJM000.AT2"
 RIGS = {path.stem: load_rig(path) for path in sorted((ROOT / "src/abrace_plant/config").glob("*.yaml"))}
 NCREE = RIGS["ncree_three_storey"].table
 G = 9.80665
@@ -34,11 +33,7 @@ def refusal(motion: np.ndarray, table: Table = NCREE, remedies: dict = RECORD_RE
 
 def test_the_motion_is_the_exact_one_of_a_sinusoid_and_nothing_is_corrected():
     time = np.arange(1, 1001) / 500
-    motion = table_motion(np.sin(2 * np.pi * time), 500.0, displacement=0.1)
-    assert motion.velocity[1:-1] == pytest.approx((1 - np.cos(2 * np.pi * time)) / (2 * np.pi), abs=1e-5)
-    drift = 0.1 + time / (2 * np.pi) - np.sin(2 * np.pi * time) / (4 * np.pi**2)
-    assert motion.displacement[1:-1] == pytest.approx(drift, abs=1e-5)
-    demands = {demand.name: demand for demand in motion.demands(NCREE)}
+    demands = {demand.name: demand for demand in table_demands(np.sin(2 * np.pi * time), 500.0, NCREE, 0.1)}
     assert demands["acceleration"].value == pytest.approx(1.0, rel=1e-4)
     assert demands["jerk"].value == pytest.approx(2 * np.pi, rel=1e-3)
     assert demands["velocity"].value == pytest.approx(1 / np.pi, rel=1e-4)
@@ -53,15 +48,9 @@ def test_the_papers_motions_are_played_untreated(name, duration):
     assert refusal(motion) == ""
 
 
-@pytest.mark.skipif(not KOBE.exists(), reason=f"the Kobe record is not the project's to ship; no {KOBE.name} beside it")
-@pytest.mark.parametrize("treatment", [Treatment(), Treatment(peak_acceleration=0.1 * G, duration=60.0)])
-def test_kobe_is_played_as_recorded_and_as_the_paper_does(treatment):
-    assert refusal(prepare(read_record(KOBE), 500.0, treatment)) == ""
-
-
 @pytest.mark.parametrize("rig", RIGS)
 def test_the_default_white_noise_is_played_by_every_table_of_the_folder(rig):
-    for seed in range(1, 9):
+    for seed in (1, 2):
         assert refusal(table_noise(120_000, 500.0, (0.1, 10.0), 0.25, seed), RIGS[rig].table) == ""
 
 
@@ -82,13 +71,6 @@ def test_what_is_beyond_each_limit_is_named_with_value_time_limit_and_what_to_do
     )
     pulse = 0.5 * np.sin(np.linspace(0, np.pi, 100))
     assert "velocity at the end 0.06" in refusal(pulse)
-
-
-def test_noise_that_only_fades_in_and_out_is_refused():
-    told = refusal(banded_noise(120_000, 500.0, (0.0, 10.0), 0.25, 1), remedies=SIGNAL_REMEDIES)
-    assert "displacement 24." in told
-    assert "expected a band that begins higher" in told
-    assert "velocity at the end" in told
 
 
 @pytest.mark.parametrize("treatment", [Treatment(baseline="constant"), Treatment(low_cut=0.1, taper=1.0)])

@@ -3,10 +3,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from computed_once import computed_once
 from laboratory import Laboratory
 
-from abrace_core.linear_model import LinearModel
-from abrace_core.run import Run
+from abrace_core.model.linear_model import LinearModel
+from abrace_core.model.run import Run
 from abrace_plant.rig.file import load_rig
 from abrace_sysid.identification import identify
 
@@ -39,8 +40,20 @@ def command_test(laboratory):
 
 
 @pytest.fixture(scope="session")
-def identified(table_test, command_test):
-    return identify(table_test, command_test)
+def identified_with_steps(table_test, command_test, tmp_path_factory):
+    """What is identified from both tests, and the steps that were reported meanwhile."""
+
+    def compute():
+        steps = []
+        found = identify(table_test, command_test, progress=lambda step, fraction: steps.append((fraction, step)))
+        return found, steps
+
+    return computed_once(tmp_path_factory, "identified", compute)
+
+
+@pytest.fixture(scope="session")
+def identified(identified_with_steps):
+    return identified_with_steps[0]
 
 
 @pytest.fixture(scope="session")

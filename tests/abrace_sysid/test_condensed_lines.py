@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from abrace_sysid.fitting.condensed_lines import triangular_factor
+from abrace_sysid.fitting.curve_fit import triangular_factor
 
 
 @pytest.mark.parametrize(

@@ -1,18 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from abrace_core.discretization import discretize
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
+from abrace_core.model.discretization import discretize
+from abrace_sysid.recorded.test import Test
 from abrace_sysid.spectra.estimation import TransferFunctionOptions, frequency_responses
-from abrace_sysid.spectra.fourier import held_input
 from abrace_sysid.spectra.welch import welch
 
 BAND, WIDE = (0.3, 10.0), (0.3, 30.0)
 
 
 def local_polynomial(run, name, band, order=4, half_width=6):
-    return frequency_responses(run, [name], band, TransferFunctionOptions("local_polynomial", order, half_width))[0]
+    return frequency_responses(
+        run,
+        [name],
+        band,
+        TransferFunctionOptions(transfer_function="local_polynomial", order=order, half_width=half_width),
+    )[0]
 
 
 def test_local_polynomials_leave_little_of_the_leakage_that_welch_has(table_test, rig):
@@ -22,7 +29,10 @@ def test_local_polynomials_leave_little_of_the_leakage_that_welch_has(table_test
         expected = true.frequency_response(estimate.omega)[:, :, 0]
         return np.linalg.norm(estimate.response - expected, axis=0) / np.linalg.norm(expected, axis=0)
 
-    local, averaged = error(local_polynomial(table_test, "w", BAND)), error(welch(table_test, "w", BAND))
+    local, averaged = (
+        error(local_polynomial(table_test, "w", BAND)),
+        error(welch([Test.of(table_test)], "w", BAND, 32768)),
+    )
     assert local.max() < 0.05, local
     assert averaged.max() < 0.3, averaged
     assert (local < averaged / 3).all(), (local, averaged)
@@ -31,7 +41,7 @@ def test_local_polynomials_leave_little_of_the_leakage_that_welch_has(table_test
 def test_a_held_command_is_taken_from_the_sample_on_which_it_acts(plain_run):
     command_until = np.random.default_rng(1).standard_normal(40_000)
     run = plain_run(2 * np.append(command_until[1:], command_until[-1]), command=command_until)
-    assert np.array_equal(held_input(run, "U")[:-1], command_until[1:])
+    assert np.array_equal(Test.of(run).channel("U")[:-1], command_until[1:])
     estimate = local_polynomial(run, "U", (1.0, 30.0))
     assert np.abs(estimate.response - 2).max() < 1e-9
     late = local_polynomial(plain_run(command_until, command=command_until), "U", (1.0, 30.0))
@@ -39,7 +49,7 @@ def test_a_held_command_is_taken_from_the_sample_on_which_it_acts(plain_run):
     assert np.abs(late.response - one_sample).max() < 0.02, "the output one sample later was expected"
 
 
-@pytest.mark.parametrize("estimate", [local_polynomial, lambda *a: welch(*a, segment=2048)])
+@pytest.mark.parametrize("estimate", [local_polynomial, lambda run, *a: welch([Test.of(run)], *a, segment=2048)])
 def test_sigma_is_the_standard_deviation_of_the_estimate(plain_run, estimate):
     random = np.random.default_rng(2)
     excitation = random.standard_normal(100_000)
@@ -63,12 +73,12 @@ def test_what_cannot_be_estimated_is_refused_with_the_reason(plain_run):
     run = plain_run(noise, ground=noise)
     with pytest.raises(AbraceError, match="half_width 5, expected order >= 0 and half_width >= 6"):
         local_polynomial(run, "w", BAND, order=5, half_width=5)
-    with pytest.raises(AbraceError, match="bags/plain: 10 s, expected at least 13 s"):
+    with pytest.raises(AbraceError, match="local polynomial method: 11 lines in the band, expected at least 13"):
         local_polynomial(run, "w", (1.0, 2.0))
     with pytest.raises(AbraceError, match=r"no frequency line between 0\.31 and 0\.32 Hz"):
         local_polynomial(run, "w", (0.31, 0.32))
     with pytest.raises(AbraceError, match="segments of 4096 in 5000 samples, expected 2 to 2500"):
-        welch(run, "w", BAND, segment=4096)
+        welch([Test.of(run)], "w", BAND, segment=4096)
     with pytest.raises(AbraceError, match="no channel 'q'"):
         local_polynomial(run, "q", BAND)
 
@@ -82,10 +92,9 @@ def errors(estimate, rig):
     return relative, np.sqrt(np.mean((error / estimate.sigma) ** 2, axis=0))
 
 
-@pytest.mark.parametrize("seconds", [60, 120])
-def test_rational_functions_follow_a_mode_that_is_as_narrow_as_the_lines(laboratory_of, rig, seconds):
+def test_rational_functions_follow_a_mode_that_is_as_narrow_as_the_lines(laboratory_of, rig):
     laboratory = laboratory_of(rig, 5)
-    for run, name, band in ((laboratory.table_test(seconds), "w", BAND), (laboratory.command_test(seconds), "U", WIDE)):
+    for run, name, band in ((laboratory.table_test(60), "w", BAND), (laboratory.command_test(60), "U", WIDE)):
         relative, ratio = errors(frequency_responses(run, [name], band)[0], rig)
         assert relative.max() < 0.01, relative
         assert ratio.max() < 1.3, ratio
@@ -116,34 +125,38 @@ def test_repeated_tests_and_pieces_of_longer_ones_average(laboratory_of, rig):
     assert np.median(one.sigma / all_.sigma) == pytest.approx(2, rel=0.2)
 
 
-def test_the_settings_follow_from_the_record_and_the_damping(laboratory_of, rig):
-    for seconds, options, half_width in (
-        (60, None, 14),
-        (100, None, 20),
-        (60, TransferFunctionOptions(bandwidth=0.3), 18),
-    ):
-        (found,) = frequency_responses(laboratory_of(rig, 12).table_test(seconds), ("w",), BAND, options)
+def test_the_settings_follow_from_the_record(laboratory_of, rig):
+    for seconds, half_width in ((60, 14), (100, 20)):
+        (found,) = frequency_responses(laboratory_of(rig, 12).table_test(seconds), ("w",), BAND)
         assert found.method == f"local rational method, order 2, half-width {half_width}"
 
 
 def test_given_options_override_the_automatic_ones(table_test):
     run = table_test
     for options, method in (
-        (TransferFunctionOptions("welch", segment=8192), "Welch, H1, hann, overlap 0.5, 8192 points"),
-        (TransferFunctionOptions("local_polynomial", 4, 6), "local polynomial method, order 4, half-width 6"),
-        (TransferFunctionOptions("local_polynomial"), "local polynomial method, order 4, half-width 6"),
-        (TransferFunctionOptions("local_rational", 3, 9), "local rational method, order 3, half-width 9"),
+        ({"transfer_function": "welch", "segment": 8192}, "Welch, H1, hann, overlap 0.5, 8192 points"),
+        (
+            {"transfer_function": "local_polynomial", "order": 4, "half_width": 6},
+            "local polynomial method, order 4, half-width 6",
+        ),
+        ({"transfer_function": "local_polynomial"}, "local polynomial method, order 4, half-width 6"),
+        ({"order": 3, "half_width": 9}, "local rational method, order 3, half-width 9"),
     ):
-        assert frequency_responses(run, ("w",), BAND, options)[0].method == method
-    with pytest.raises(AbraceError, match="method 'guess', expected 'local_rational', 'local_polynomial' or 'welch'"):
-        frequency_responses(run, ("w",), BAND, TransferFunctionOptions("guess"))
+        assert frequency_responses(run, ("w",), BAND, TransferFunctionOptions.of(options))[0].method == method
+    with pytest.raises(
+        AbraceError, match="transfer_function: 'guess', expected 'local_rational', 'local_polynomial' or 'welch'"
+    ):
+        frequency_responses(run, ("w",), BAND, TransferFunctionOptions.of({"transfer_function": "guess"}))
 
 
 def test_tests_of_another_rig_and_inputs_that_are_not_two_are_refused(table_test, plain_run):
     noise = np.random.default_rng(11).standard_normal(20_000)
     run = plain_run(noise, noise, np.append(0, noise[:-1]))
-    with pytest.raises(AbraceError, match=r"bags/plain: channels .* expected the same rig"):
+    with pytest.raises(AbraceError, match=r"bags/plain: channels .*, expected .*, as in "):
         frequency_responses((table_test, run), ("w",), BAND)
+    first = Test.of(table_test)
+    with pytest.raises(AbraceError, match=r"other: inputs v, U, expected w, U, as in "):
+        frequency_responses((first, replace(first, source="other", inputs=("v", "U"))), ("w",), BAND)
     with pytest.raises(AbraceError, match="expected at least one"):
         frequency_responses((), ("w",), BAND)
     with pytest.raises(AbraceError, match="an input is zero, or repeats another"):

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from abrace_core.discretization import discretize
+from abrace_core.model.discretization import discretize
 from abrace_sysid.spectra.frequency_response import FrequencyResponse, hold_and_delay, sampled_response
 
 PERIOD = 0.002

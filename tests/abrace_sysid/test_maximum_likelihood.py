@@ -4,15 +4,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import pole_table
-from abrace_core.noise import banded_noise
-from abrace_sysid.fitting.maximum_likelihood import fit_poles
+from abrace_core import AbraceError
+from abrace_core.model.linear_model import pole_table
+from abrace_core.model.noise import banded_noise
+from abrace_sysid.fitting.maximum_likelihood import fit_again, fit_poles
 from abrace_sysid.fitting.observation import Observation
-from abrace_sysid.fitting.order_selection import best_order, try_orders
-from abrace_sysid.fitting.vector_fitting import starting_poles
+from abrace_sysid.fitting.order_selection import Order, best_order, try_order
+from abrace_sysid.fitting.vector_fitting import FitsByOrder
+from abrace_sysid.recorded.test import Test
 from abrace_sysid.spectra.estimation import frequency_responses
-from abrace_sysid.spectra.fourier import spectra_of
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 BAND = {"w": (0.3, 10.0), "U": (0.3, 30.0)}
@@ -22,7 +22,7 @@ TABLE = (0, 1, 2, 3, 6)
 @pytest.fixture(scope="module")
 def true(rig):
     """Upper poles of the pairs, slowest first, then the servo's real ones."""
-    poles = rig.model.poles()
+    poles = rig.model.poles
     return np.concatenate([poles[poles.imag > 0], poles[poles.imag == 0]])
 
 
@@ -35,7 +35,7 @@ def rough(true):
 
 
 def observe(run, name):
-    return Observation.of_spectra(spectra_of(run, [name], BAND[name]), run.source)
+    return Observation.of_test(Test.of(run), [name], BAND[name])
 
 
 def errors(estimate, true, pairs):
@@ -46,15 +46,6 @@ def errors(estimate, true, pairs):
         max(abs(pair.frequency / w - 1) for pair, (w, _) in zip(found, expected, strict=True)),
         max(abs(pair.damping / zeta - 1) for pair, (_, zeta) in zip(found, expected, strict=True)),
     )
-
-
-def covered(estimate, true, pairs):
-    """Of each frequency and damping ratio, whether its interval holds the true value."""
-    for pair, (frequency, damping) in zip(estimate.pairs()[:pairs], pole_table(true)[:pairs], strict=True):
-        low, high = pair.frequency_interval
-        yield low <= frequency <= high
-        low, high = pair.damping_interval
-        yield low <= damping <= high
 
 
 @pytest.fixture(scope="module")
@@ -70,13 +61,12 @@ def command_lines(command_test):
 def test_a_fit_that_starts_from_another_of_the_same_inputs_has_its_drives(command_lines, table_lines, rough):
     tests = [replace(table_lines.thinned(700), poles=TABLE), command_lines.thinned(700)]
     first = fit_poles(tests, rough, spread="none")
-    again = fit_poles(tests, first, spread="none")
-    assert again.iterations <= 2
+    again = fit_poles(tests, first, most=2, spread="none")
     assert again.cost == pytest.approx(first.cost, abs=0.1)
     np.testing.assert_allclose(again.poles[:3], first.poles[:3], rtol=1e-6)
 
 
-def test_poles_of_four_minutes_are_ten_times_better_than_the_project_asks_of_five(
+def test_poles_of_four_minutes_are_accurate_and_those_of_both_tests_together_more_certain(
     table_lines, command_lines, rough, true
 ):
     table = fit_poles([table_lines], rough[list(TABLE)])
@@ -89,30 +79,16 @@ def test_poles_of_four_minutes_are_ten_times_better_than_the_project_asks_of_fiv
     assert damping < 3.5e-3, f"command: damping {damping:.4%} off"
     assert abs(command.poles[-2] / true[-2] - 1) < 0.1
     assert abs(command.poles[-1] / true[-1] - 1) < 0.1
-
-
-def test_two_tests_share_one_set_of_poles_and_are_more_certain_together(table_lines, command_lines, rough, true):
-    alone = fit_poles([table_lines], rough[list(TABLE)])
-    start = fit_poles([command_lines], rough).poles
-    together = fit_poles([replace(table_lines, poles=TABLE), command_lines], start)
-    for one, both in zip(alone.pairs()[:3], together.pairs()[:3], strict=True):
+    together = fit_poles([replace(table_lines, poles=TABLE), command_lines], command.poles)
+    for one, both in zip(table.pairs()[:3], together.pairs()[:3], strict=True):
         assert both.frequency_deviation < one.frequency_deviation
     assert errors(together, true, 6)[0] < 1e-4
-
-
-def test_intervals_hold_the_true_poles_as_often_as_they_say(rig, laboratory_of, true):
-    inside = []
-    for seed in range(20):
-        laboratory = laboratory_of(rig, seed)
-        tests = [observe(laboratory.table_test(60), "w"), observe(laboratory.command_test(60), "U")]
-        inside += covered(fit_poles(tests, true), true, 6)
-    assert 0.85 <= np.mean(inside) <= 0.99, f"{np.mean(inside):.1%} of {len(inside)} intervals hold the true value"
 
 
 def test_two_inputs_at_once_give_the_poles_of_the_building(laboratory, rough, true):
     ground, command = (banded_noise(60_000, 500, (0.0, 10.0), rms, seed) for rms, seed in ((0.25, 11), (1800.0, 12)))
     run = laboratory.open_loop("bags/both", ground, command)
-    test = Observation.of_spectra(spectra_of(run, ["w", "U"], (0.3, 9.9)), run.source)
+    test = Observation.of_test(Test.of(run), ["w", "U"], (0.3, 9.9))
     estimate = fit_poles([test], rough[[0, 1, 2, 3, 6, 7]])
     frequency, damping = errors(estimate, true, 3)
     assert frequency < 1e-4, f"frequency {frequency:.5%} off"
@@ -123,7 +99,7 @@ def test_one_minute_with_noise_40_db_down_is_enough_from_poles_that_vector_fitti
     run = laboratory_of(rig, 2).table_test(60)
     noise = 10 ** (25 / 20) * np.array([5.6e-5] * 3 + [2.2e-5] + [3.4e-3] * 3 + [16.0])
     loud = replace(run, outputs=run.outputs + noise * np.random.default_rng(5).standard_normal(run.outputs.shape))
-    start = starting_poles(frequency_responses(loud, ["w"], BAND["w"])[0], 3, 1)
+    start = FitsByOrder(frequency_responses(loud, ["w"], BAND["w"])[0]).starting_poles(3, 1)
     frequency, damping = errors(fit_poles([observe(loud, "w")], start), true, 3)
     assert frequency < 1e-4, f"frequency {frequency:.5%} off"
     assert damping < 0.01, f"damping {damping:.3%} off"
@@ -140,16 +116,10 @@ def periodic(rig, seed, lines=1500):
     return FrequencyResponse("U", rig.model.outputs, omega, response, sigma, 0.002, "periodic")
 
 
-def test_intervals_from_transfer_functions_hold_too(rig, true, rough):
-    inside = []
-    for seed in range(12):
-        inside += covered(fit_poles([Observation.of_response(periodic(rig, seed), "periodic")], rough), true, 6)
-    assert 0.85 <= np.mean(inside) <= 0.99, f"{np.mean(inside):.1%} of {len(inside)} intervals hold the true value"
-
-
 def test_the_description_length_finds_the_order(rig, true):
     measured = periodic(rig, 1, 800)
-    trials = try_orders([Observation.of_response(measured, "periodic")], measured, [(5, 1), (6, 1), (6, 2)])
+    lines, fits = [Observation.of_response(measured, "periodic")], [FitsByOrder(measured)]
+    trials = [try_order(lines, fits, Order(*each)) for each in ((5, 1), (6, 1), (6, 2))]
     best = best_order(trials)
     assert (best.poles.imag > 0).sum() == 6
     assert (best.poles.imag == 0).sum() == 2
@@ -158,7 +128,7 @@ def test_the_description_length_finds_the_order(rig, true):
 
 def test_orders_that_fail_say_why(rig):
     measured = periodic(rig, 1, lines=60)
-    trials = try_orders([Observation.of_response(measured, "periodic")], measured, [(20, 0)])
+    trials = [try_order([Observation.of_response(measured, "periodic")], [FitsByOrder(measured)], Order(20))]
     with pytest.raises(AbraceError, match="no order could be fitted: 20 pairs and 0 real poles: "):
         best_order(trials)
 
@@ -168,6 +138,37 @@ def test_unstable_poles_never_pass(rig, rough):
     growing = replace(measured, response=measured.response.conj())
     with pytest.raises(AbraceError, match=r"periodic: (unstable poles|no maximum)"):
         fit_poles([Observation.of_response(growing, "periodic")], rough)
+
+
+def test_a_pair_that_becomes_unstable_is_no_mode(rig, true, rough):
+    """Lines to which a pair at 80 rad/s is added, stable in a first fit and unstable in the next one."""
+    measured = periodic(rig, 1)
+
+    def with_pair(pole: complex) -> list[Observation]:
+        added = 1.0 / (1j * measured.omega - pole) + 1.0 / (1j * measured.omega - np.conj(pole))
+        changed = measured.response + 0.02 * np.abs(measured.response).max(axis=0) * added.reshape(
+            -1, *[1] * (measured.response.ndim - 1)
+        )
+        return [Observation.of_response(replace(measured, response=changed), "periodic")]
+
+    first = fit_poles(with_pair(-0.3 + 80j), np.append(rough, -0.3 + 80j), spread="none")
+    growing = with_pair(0.3 + 80j)
+    with pytest.raises(AbraceError, match="periodic: unstable poles"):
+        fit_poles(growing, first, spread="none")
+    again = fit_again(growing, first, spread="none")
+    assert len(again.poles) == len(rough)
+    assert errors(again, true, 3)[0] < 1e-2
+
+
+def test_a_pair_of_noise_is_no_mode(rig, true, rough):
+    lines = [Observation.of_response(periodic(rig, 1), "periodic")]
+    first = fit_poles(lines, np.append(rough, -0.1 + 92j))
+    (noise,) = (pair for pair in first.pairs() if 85 < pair.frequency < 99)
+    assert noise.damping < 2 * noise.damping_deviation
+    again = fit_again(lines, first)
+    assert len(again.poles) == len(rough)
+    assert errors(again, true, 6)[0] < 1e-3
+    assert fit_again(lines, again).poles == pytest.approx(again.poles, rel=1e-6), "modes stay"
 
 
 def test_starts_that_lead_nowhere_are_refused(command_lines, rough):
@@ -184,6 +185,6 @@ def test_dead_channels_and_too_few_lines_are_named(command_lines, rough):
     dead[:, 2] = 0
     with pytest.raises(AbraceError, match="bags/command: channel x3 is zero throughout"):
         replace(command_lines, measured=dead)
-    few = {name: getattr(command_lines, name)[:20] for name in ("z", "excitation", "measured", "noise_level")}
+    few = {name: getattr(command_lines, name)[:20] for name in ("omega", "excitation", "measured", "noise_level")}
     with pytest.raises(AbraceError, match="bags/command: 20 frequency lines, expected more than"):
         fit_poles([replace(command_lines, **few)], rough)

@@ -2,9 +2,9 @@
 import numpy as np
 import pytest
 
-from abrace_core.discretization import discretize
-from abrace_sysid.fitting.modal_states import modal_states
+from abrace_core.model.discretization import discretize
 from abrace_sysid.fitting.pole_basis import Sampling
+from abrace_sysid.models.realization import modal_states
 
 PERIOD = 0.002
 OMEGA = np.linspace(2, 190, 200)

@@ -4,11 +4,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from abrace_core.discretization import discretize
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel
-from abrace_sysid.fitting.modal_states import modal_states
-from abrace_sysid.models.realization import realize, superpose
+from abrace_core import AbraceError
+from abrace_core.model.discretization import discretize
+from abrace_core.model.linear_model import LinearModel
+from abrace_sysid.models.realization import modal_states, realize
+from abrace_sysid.paper import superpose
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 POLES = np.array([-0.11 + 7.3j, -0.11 - 7.3j, -0.5 + 23j, -0.5 - 23j, -40 + 0j])
@@ -23,7 +23,7 @@ def given_model(input_name, delay):
 
 def test_modal_states_have_the_poles_and_show_themselves_and_the_input():
     states = modal_states(POLES, "U", 0.001)
-    assert np.allclose(np.sort_complex(states.poles()), np.sort_complex(POLES))
+    assert np.allclose(np.sort_complex(states.poles), np.sort_complex(POLES))
     at_7 = states.frequency_response(7.0)[0, :, 0]
     assert np.allclose(at_7[-1], np.exp(-7j * 0.001))
     with pytest.raises(AbraceError, match="expected conjugate pairs"):

@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from abrace_core.errors import AbraceError
-from abrace_core.response import (
+from abrace_core import AbraceError
+from abrace_core.model.response import (
     TABLE_1_EXPERIMENT,
     TABLE_1_SIMULATION,
     in_paper_units,

@@ -4,8 +4,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from abrace_core.errors import AbraceError
-from abrace_sysid.validation import compare
+from abrace_core import AbraceError
+from abrace_core.model.verdict import Verdict
+from abrace_sysid.recorded.test import Test
+from abrace_sysid.validation import compare, predicted
+from abrace_sysid.validity.finding import prediction_finding
 
 
 def test_the_rig_s_own_model_differs_from_the_record_by_sensor_noise_alone(rig, laboratory, controller):
@@ -82,8 +85,10 @@ def test_commands_are_cut_at_the_capacity(rig, laboratory, controller):
 
 def test_model_controller_and_run_of_different_rigs_are_refused(rig, laboratory, controller):
     run = laboratory.earthquake(seconds=10)
-    with pytest.raises(AbraceError, match="the model has no signal a3, f, expected a model of this rig"):
-        compare(run, rig.model.select(["x1", "x2", "x3", "xf", "a1", "a2"]), None, rig.capacity)
+    with pytest.raises(AbraceError, match="the model has no signal x1, x2, x3, xf, a1, a2, a3, f, expected a model of"):
+        compare(run, replace(rig.model.select(["x1"]), outputs=("y",)), None, rig.capacity)
+    with pytest.raises(AbraceError, match="the controller measures a1, a2, a3, which the model does not have"):
+        compare(run, rig.model.select(["x1", "f"]), controller, rig.capacity)
     with pytest.raises(AbraceError, match="the model has no signal U"):
         compare(run, rig.model.select(inputs=["w"]), None, rig.capacity)
     with pytest.raises(AbraceError, match="the controller measures a4"):
@@ -92,5 +97,69 @@ def test_model_controller_and_run_of_different_rigs_are_refused(rig, laboratory,
         compare(run, rig.model, replace(controller, sample_period=0.004), rig.capacity)
     with pytest.raises(AbraceError, match="2 capacities, expected one for each of 1"):
         compare(run, rig.model, None, np.array([1.0, 1.0]))
-    with pytest.raises(AbraceError, match="without a gap"):
-        compare(replace(run, sequence=2 * run.sequence), rig.model, None, rig.capacity)
+    with pytest.raises(AbraceError, match="sample 2 after 0, expected consecutive samples"):
+        compare(replace(run, sequence=2 * run.sequence), rig.model)
+    with pytest.raises(AbraceError, match="2 tests, expected one"):
+        compare([run, run], rig.model)
+    with pytest.raises(AbraceError, match="hold 'band', expected a test of a rig"):
+        compare(replace(Test.of(run), hold="band"), rig.model)
+
+
+def test_a_test_is_compared_as_its_run_is_and_with_fewer_channels_those_alone(rig, laboratory, controller):
+    run = laboratory.earthquake(controller, 10)
+    whole, few = compare(run, rig.model), compare(Test.of(run).select(["x3", "a1"]), rig.model)
+    assert np.array_equal(whole.measured, np.hstack([run.outputs, run.command]))
+    assert few.names == ("x3", "a1", "U")
+    chosen = [whole.names.index(name) for name in few.names]
+    assert np.array_equal(few.measured, whole.measured[:, chosen])
+    assert np.array_equal(few.simulated, whole.simulated[:, chosen])
+
+
+def spoiled(comparison, name, value):
+    measured = comparison.measured.copy()
+    measured[:, comparison.names.index(name)] = value
+    return replace(comparison, measured=measured)
+
+
+@pytest.mark.parametrize("name", ["xf", "a3"])
+def test_a_disconnected_sensor_is_never_trusted(rig, laboratory, name):
+    comparison = compare(laboratory.earthquake(seconds=20), rig.model, None, rig.capacity)
+    assert predicted(comparison).verdict == Verdict.TRUST
+    found = predicted(spoiled(comparison, name, 0.25))
+    assert (found.verdict, found.where) == (Verdict.DONT, name)
+    assert found.meaning == f"{name} did not move, against the simulation"
+    assert f"Check sensor, cable and channel of {name}" in found.advice
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_channel_that_is_not_finite_is_named_and_at_best_with_care(rig, laboratory, value):
+    comparison = compare(laboratory.earthquake(seconds=20), rig.model, None, rig.capacity)
+    one = np.where(np.arange(len(comparison.time)) == 7, value, 0.0)
+    broken = spoiled(comparison, "xf", comparison.measured[:, 3] + one)
+    found = predicted(broken)
+    assert (found.verdict, found.where) == (Verdict.CARE, "xf")
+    assert found.meaning.endswith("not judged: xf has values that are not finite")
+    assert "xf" not in broken.normalised_rms_error()
+    assert broken.peak_rms_error() == pytest.approx(comparison.peak_rms_error(), abs=0.01)
+    worse = predicted(replace(broken, simulated=2.0 * broken.simulated))
+    assert worse.verdict == Verdict.DONT, "a channel that cannot be judged excuses no other"
+
+
+def test_nothing_that_moves_is_nothing_to_trust(rig, laboratory):
+    comparison = compare(laboratory.earthquake(seconds=20), rig.model, None, rig.capacity)
+    still = replace(comparison, measured=0 * comparison.measured)
+    assert predicted(still).verdict == Verdict.DONT
+    assert still.peak_rms_error() is None
+    both = predicted(replace(still, simulated=still.measured))
+    assert both.verdict == Verdict.CARE
+    assert both.content["value"] is None
+    assert prediction_finding({}, {}).verdict == Verdict.CARE
+    assert prediction_finding({"x1": np.nan, "x2": 0.9}, {"x1": "is unknown"}).verdict == Verdict.DONT
+
+
+def test_a_channel_that_the_model_does_not_have_is_not_compared_and_named(rig, laboratory):
+    comparison = compare(laboratory.earthquake(seconds=20), rig.model.select(["x1", "xf", "a2"]), None, rig.capacity)
+    assert (comparison.names, comparison.left_out) == (("x1", "xf", "a2", "U"), ("x2", "x3", "a1", "a3", "f"))
+    assert comparison.correlation()["a2"] > 0.999
+    found = predicted(comparison)
+    assert (found.verdict, found.where) == (Verdict.CARE, "x2, x3, a1, a3, f")

@@ -4,9 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import pole_table
-from abrace_sysid.fitting.vector_fitting import fit_common_poles, starting_poles, vector_fitting
+from abrace_core import AbraceError
+from abrace_core.model.linear_model import pole_table
+from abrace_sysid.fitting.vector_fitting import FitsByOrder, fit_common_poles, vector_fitting
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 
@@ -25,7 +25,7 @@ def noisy(exact, share=1e-3, seed=0):
 
 def test_exact_responses_give_back_all_their_poles_hold_and_lag_included(exact, rig):
     fit = vector_fitting(exact, 14)
-    true = rig.model.poles()
+    true = rig.model.poles
     expected = np.concatenate([true[true.imag > 0], true[true.imag == 0]])
     assert len(fit.poles) == len(expected)
     assert np.abs(fit.poles / expected - 1).max() < 1e-5
@@ -34,7 +34,7 @@ def test_exact_responses_give_back_all_their_poles_hold_and_lag_included(exact, 
 
 def test_noisy_responses_give_all_pairs_from_all_channels_together(exact, rig):
     fit = vector_fitting(noisy(exact), 14)
-    found, expected = pole_table(fit.poles), pole_table(rig.model.poles())
+    found, expected = pole_table(fit.poles), pole_table(rig.model.poles)
     assert len(found) == 6
     for (frequency, damping), (true_frequency, true_damping) in zip(found, expected, strict=True):
         assert abs(frequency / true_frequency - 1) < 2e-3
@@ -49,11 +49,17 @@ def test_unstable_poles_are_refused_and_shown_to_who_asks_for_all(exact):
 
 
 def test_starting_poles_are_the_strongest_pairs_and_the_servos(exact, rig):
-    start = starting_poles(noisy(exact), 6, 2)
-    expected = np.array([w for w, _ in pole_table(rig.model.poles())])
+    start = FitsByOrder(noisy(exact)).starting_poles(6, 2)
+    expected = np.array([w for w, _ in pole_table(rig.model.poles)])
     assert np.abs(np.abs(start[:6]) / expected - 1).max() < 0.01
     assert start[6] == pytest.approx(-np.abs(start[0]))
     assert start[7] == pytest.approx(-1000.0)
+
+
+def test_the_order_is_the_least_within_the_uncertainty(exact):
+    fits = FitsByOrder(noisy(exact))
+    assert fits.order() in (13, 14), "six pairs, the lag, and the slow pole if it shows"
+    assert len(fits.modes(fits.order())) == 6
 
 
 def test_a_building_without_so_many_modes_is_an_error_that_says_what_to_do(exact):
@@ -61,7 +67,7 @@ def test_a_building_without_so_many_modes_is_an_error_that_says_what_to_do(exact
     single = 1 / (1j * omega + 3.0)
     measured = replace(exact, response=np.repeat(single[:, None], 8, axis=1), sigma=np.full((len(omega), 8), 1e-6))
     with pytest.raises(AbraceError, match=r"oscillating poles between .* rad/s, expected 3; a longer"):
-        starting_poles(measured, 3)
+        FitsByOrder(measured).starting_poles(3)
 
 
 def test_orders_and_lines_that_cannot_be_are_refused(exact):
@@ -71,4 +77,4 @@ def test_orders_and_lines_that_cannot_be_are_refused(exact):
     with pytest.raises(AbraceError, match="not finite"):
         fit_common_poles(replace(exact, response=exact.response * np.nan), 4, np.ones(exact.response.shape))
     with pytest.raises(AbraceError, match="3 pairs and 5 real poles, expected"):
-        starting_poles(exact, 3, 5)
+        FitsByOrder(exact).starting_poles(3, 5)

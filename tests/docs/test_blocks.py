@@ -1,66 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every code block in the documents is whole: Python compiles and imports what there is, files pass their schemas."""
+"""Every file that a page shows passes its schema; Python is run by `test_pages.py`."""
 
-import ast
-import importlib
 import re
 
 import pytest
 import write_nodes
 from documents import PAGES, blocks
 
-from abrace.benchmark.definition import load_definition
 from abrace.campaign.file import load_campaign
-from abrace_core.config_file import read_config
-from abrace_core.errors import AbraceError
-from abrace_core.yaml_text import parse_yaml
+from abrace_core import AbraceError
+from abrace_core.files.config_file import read_config
+from abrace_core.files.reading import parse_yaml
 from abrace_lqg.weights import Weights
 from abrace_plant.devices.calibration import CalibrationFile
-from abrace_plant.devices.modbus import ModbusFile
 from abrace_plant.devices.udp import UdpFile
 from abrace_plant.rig.file import _Interlocks, load_rig
+from abrace_studies.benchmark.definition import load_definition
 
 OWN_KIND = ("ni_daqmx", "my_daq")
 """Devices of the reader's."""
-PYTHON = re.compile(r"^(?:import |from \w+(?:\.\w+)* import |class \w+)", re.MULTILINE)
-
-
-def python_of(page) -> list[str]:
-    """The Python blocks of a page, those that are indented too."""
-    return [
-        block.text
-        for block in blocks(page)
-        if block.language == "python" or (not block.language and PYTHON.match(block.text))
-    ]
-
-
-def import_mistakes(tree: ast.Module, files: set[str]) -> list[str]:
-    """What is imported and is not there; `files` are modules that the page makes, and what no test installs is left."""
-    wrong = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names = [(alias.name, None) for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            names = [(node.module, alias.name) for alias in node.names]
-        else:
-            continue
-        for module, name in names:
-            if module in files or module.partition(".")[0] in ("control",):
-                continue
-            try:
-                imported = importlib.import_module(module)
-                if name is not None:
-                    getattr(imported, name)
-            except (ImportError, AttributeError):
-                wrong.append(f"{module}.{name}")
-    return wrong
-
-
-@pytest.mark.parametrize("page", [page for page in PAGES if python_of(page)], ids=lambda page: page.name)
-def test_python_compiles_and_imports_what_there_is(page):
-    files = {block.name.removesuffix(".py") for block in blocks(page)}
-    for text in python_of(page):
-        assert not import_mistakes(ast.parse(text), files), text
 
 
 def yaml_of(page) -> list[str]:
@@ -88,8 +46,6 @@ def mistake(text: str, folder) -> str:
                 load_rig(file)
             case {"kind": "udp"}:
                 read_config(file, UdpFile, "device")
-            case {"kind": "modbus"}:
-                read_config(file, ModbusFile, "device")
             case {"kind": kind} if kind in OWN_KIND:
                 return ""
             case {"channels": _, "commands": _}:
@@ -122,12 +78,3 @@ def parameter_mistake(content) -> str:
 def test_files_pass_their_schemas(page, tmp_path):
     wrong = [found for text in yaml_of(page) if (found := mistake(text, tmp_path))]
     assert not wrong, "\n".join(wrong)
-
-
-def test_a_wrong_block_is_found(tmp_path):
-    """The checks above can fail."""
-    assert mistake("kind: udp\nadress: 1.2.3.4\n", tmp_path)
-    assert mistake("name: day\nrig: ncree_three_storey\nsteps: [{name: a, tset: {}}]\n", tmp_path)
-    assert mistake("/**/logger:\n  ros__parameters: {topic: [response]}\n", tmp_path)
-    assert mistake("measured: [a1]\nweights: {displacement: 1.0}\n", tmp_path)
-    assert import_mistakes(ast.parse("from abrace_core.own_law import Lwa\nimport abrace_cor"), set())

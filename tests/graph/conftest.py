@@ -8,26 +8,18 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import domain_coordinator
 import pytest
 import rclpy
 from rclpy.signals import SignalHandlerOptions
-from running_graph import HELD_UP, Commander, Graph
+from running_graph import Commander, Graph
 
 from abrace.processes.group import ProcessGroup
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Repeat a test in which the machine was blocked for 20 ms: in real time that is, rightly, a fault of the rig."""
-    for item in items:
-        if item.path.is_relative_to(Path(__file__).parent):
-            item.add_marker(pytest.mark.flaky(reruns=3, only_rerun=list(HELD_UP)))
 
 
 @pytest.fixture(scope="session")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,16 +13,19 @@ from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
-from abrace_core.controller_file import Controller, save_controller
-from abrace_core.linear_model import LinearModel
+from abrace_core.model.controller_file import Controller, save_controller
+from abrace_core.model.linear_model import LinearModel
+from abrace_core.safety.rig_safety import RAMP_TIME
 from abrace_interfaces.msg import BraceCommand, Response
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 PERIOD = 2_000_000
-RAMP = 0.5
+RAMP = 0.1
 STEPS = round(RAMP / 0.002)
+REST = round(RAMP_TIME / 0.002)
+"""Samples in which the force of a fault goes to zero."""
 STEEPEST = np.pi / 2 / STEPS
 LIMIT = np.array([20e3])
 
@@ -39,19 +43,23 @@ class Rig:
         self.graph = graph
         self.commands = graph.listen(BraceCommand, "brace_command")
         self.publisher = graph.publisher(Response, "response")
-        self.run, self.sequence, self.state, self.floors = 1, 0, Response.RUNNING, 3
+        self.sequence = 0
 
-    def send(self, a1: float, lost: int = 0) -> float:
-        """Send the next sample, after so many that are lost; returns the force that answers it."""
+    def publish(self, a1: float, lost: int = 0) -> None:
+        """Publish the next sample, after so many that are lost."""
         self.sequence += 1 + lost
-        sample = Response(run=self.run, sequence=self.sequence, state=self.state, flags=Response.LOCKSTEP)
-        sample.displacement, sample.acceleration = [0.0] * self.floors, [a1, 0.0, 0.0][: self.floors]
+        sample = Response(run=1, sequence=self.sequence, state=Response.RUNNING, flags=Response.LOCKSTEP)
+        sample.displacement, sample.acceleration = [0.0] * 3, [a1, 0.0, 0.0]
         sample.braces = [1]
         sample.stroke = sample.force = sample.command = [0.0]
         nanoseconds = self.sequence * PERIOD
         sample.header.stamp.sec, sample.header.stamp.nanosec = divmod(nanoseconds, 10**9)
-        count = len(self.commands)
         self.publisher.publish(sample)
+
+    def send(self, a1: float, lost: int = 0) -> float:
+        """Send the next sample, after so many that are lost; returns the force that answers it."""
+        count = len(self.commands)
+        self.publish(a1, lost)
         self.graph.until(lambda: len(self.commands) > count, "an answer")
         assert self.commands[-1].sequence == self.sequence
         return float(self.commands[-1].force[0])
@@ -74,7 +82,7 @@ def files(tmp_path: Path) -> dict[str, Path]:
 @pytest.fixture
 def rig(graph: Any, files: dict[str, Path]) -> Rig:
     """With the controller `one` at its braces."""
-    graph.start("controller", "--params-file", files["one"])
+    graph.start("controller", "--params-file", files["one"], ramp_time=RAMP)
     hand = Rig(graph)
     graph.until_matched("controller", response=1, brace_command=1)
     return hand
@@ -92,13 +100,15 @@ def test_the_force_ramps_in_and_is_at_zero_before_the_controller_is_inactive(rig
     np.testing.assert_allclose(found[-10:], 1000.0)
     request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
     inactive = rig.graph.ask(ChangeState, "controller/change_state", request)
-    falling, lost = [1000.0], 4  # fewer answers than samples: a busy machine has time for them before the node gives up
-    while falling[-1]:
-        assert not inactive.done()
-        falling.append(rig.send(1.0, lost))
-    assert len(falling) > STEPS / (1 + lost)
-    assert np.abs(np.diff(falling)).max() < 1.01 * STEEPEST * 1000.0 * (1 + lost)
+    begin = len(rig.commands)
+    while not inactive.done() and rig.commands[-1].force[0]:
+        rig.publish(1.0)
+        rig.graph.until(lambda: rig.commands[-1].sequence == rig.sequence or inactive.done(), "an answer")
+        time.sleep(0.003)  # not within the time that a rig by the clock may take
     rig.graph.until(inactive.done, "the controller to be inactive")
+    falling = [float(command.force[0]) for command in rig.commands[begin:]]
+    assert falling[-1] == 0.0
+    assert np.abs(np.diff([1000.0, *falling])).max() < 1.01 * STEEPEST * 1000.0
     assert inactive.result().success
     assert rig.graph.change_state("controller", "activate")
     rising = rig.hold(1.0, STEPS + 20)
@@ -106,34 +116,12 @@ def test_the_force_ramps_in_and_is_at_zero_before_the_controller_is_inactive(rig
     np.testing.assert_allclose(rising[-10:], 1000.0)
 
 
-def test_while_the_rig_is_stopped_nothing_is_asked_for_and_then_the_force_fades_in(rig: Rig):
-    rig.hold(1.0, STEPS + 20)
-    for state in (Response.RAMPING_DOWN, Response.LATCHED, Response.PROTECTIVE_STOP):
-        rig.state = state
-        assert not rig.hold(1.0, 5).any()
-    rig.state = Response.RUNNING
-    rising = rig.hold(1.0, STEPS + 20)
-    assert np.abs(np.diff([0.0, *rising])).max() < 1.01 * STEEPEST * 1000.0
-    np.testing.assert_allclose(rising[-10:], 1000.0)
-    rig.graph.until_well("controller")
-
-
-def test_old_and_repeated_samples_are_not_answered_and_change_nothing(rig: Rig):
-    rig.hold(1.0, STEPS + 20)
-    count = len(rig.commands)
-    for sequence in (rig.sequence, rig.sequence - 10, 0):
-        old = Response(run=rig.run, sequence=sequence, state=Response.RUNNING, flags=Response.LOCKSTEP)
-        old.displacement, old.acceleration = [0.0] * 3, [1.0, 0.0, 0.0]
-        old.braces = [1]
-        old.stroke = old.force = old.command = [0.0]
-        rig.publisher.publish(old)
-    assert rig.send(1.0) == pytest.approx(1000.0), "without a jump"
-    assert len(rig.commands) == count + 1
-    rig.graph.until(lambda: rig.graph.values("controller").get("old") == "3", "3 old samples in the diagnostics")
-
-
 def test_another_controller_takes_over_without_a_jump(rig: Rig, files: dict[str, Path]):
     before = rig.hold(1.0, STEPS + 20)[-1]
+    for path, said in ((files["other"], "other measures a9"), ("absent.yaml", "No such file")):
+        answer = set_next(rig.graph, path)
+        assert not answer.successful
+        assert said in answer.reason
     answer = set_next(rig.graph, files["two"])
     assert answer.successful, answer.reason
     found = rig.hold(1.0, 1000 + STEPS + 20)
@@ -146,21 +134,6 @@ def test_another_controller_takes_over_without_a_jump(rig: Rig, files: dict[str,
     assert "expected a controller file" in set_next(rig.graph, "").reason
 
 
-def test_a_controller_that_cannot_follow_is_refused_and_the_one_in_use_goes_on(rig: Rig, files: dict[str, Path]):
-    assert "one is waiting for samples" in set_next(rig.graph, files["two"]).reason
-    rig.hold(1.0, STEPS + 20)
-    for path, said in (
-        (files["other"], "other measures a9"),
-        (files["one"].with_name("absent.yaml"), "No such file"),
-    ):
-        answer = set_next(rig.graph, path)
-        assert not answer.successful
-        assert said in answer.reason
-    assert set_next(rig.graph, "").successful, "as it was; a dump of the parameters has it"
-    assert rig.send(1.0) == pytest.approx(1000.0)
-    rig.graph.until_well("controller")
-
-
 def test_a_few_lost_samples_are_bridged_and_more_are_a_fault_that_a_person_clears(rig: Rig):
     rig.hold(1.0, STEPS + 20)
     assert rig.send(1.0, lost=5) == pytest.approx(1000.0)
@@ -168,34 +141,16 @@ def test_a_few_lost_samples_are_bridged_and_more_are_a_fault_that_a_person_clear
     rig.graph.until(lambda: values("controller").get("lost") == "5", "5 lost samples in the diagnostics")
     assert {"answer_median_us", "answer_99_percent_us", "answer_worst_us", "late"} <= set(values("controller"))
     assert float(values("controller")["innovation_rms a1"]) == pytest.approx(1.0)
-    falling = [rig.send(1.0, lost=6), *rig.hold(1.0, STEPS + 5)]
+    falling = [rig.send(1.0, lost=6), *rig.hold(1.0, REST + 5)]
     rig.graph.until_fault("controller", "6 samples lost before sample")
     assert np.abs(np.diff([1000.0, *falling])).max() < 1.01 * STEEPEST * 1000.0
     assert falling[-1] == 0.0
     assert "6 samples lost before sample" in rig.commands[-1].fault, "the rig is told"
     assert rig.graph.clear_fault("controller").success
-    rising = rig.hold(1.0, STEPS + 20)
+    rising = rig.hold(1.0, REST + 20)
     # the law fades in, and so does what the node lets act: the square of a half cosine is 1.3 times as steep
     assert np.abs(np.diff([0.0, *rising])).max() < 1.31 * STEEPEST * 1000.0, "it begins anew, from zero"
     np.testing.assert_allclose(rising[-10:], 1000.0)
-
-
-def test_a_sample_of_another_rigs_size_is_a_fault_that_ends_with_a_ramp(rig: Rig):
-    rig.hold(1.0, STEPS + 20)
-    rig.floors = 1
-    falling = rig.hold(1.0, STEPS + 5)
-    rig.graph.until_fault("controller", "floors and brace groups (1, 1), expected (3, 1) as before")
-    assert np.abs(np.diff([1000.0, *falling])).max() < 1.01 * STEEPEST * 1000.0
-    assert falling[-1] == 0.0
-
-
-def test_saturations_are_counted_and_a_rig_that_begins_anew_is_answered_from_zero(rig: Rig):
-    rig.hold(30.0, STEPS + 20)
-    values = rig.graph.values
-    rig.graph.until(lambda: int(values("controller").get("saturations", 0)) > 10, "saturations in the diagnostics")
-    assert rig.send(30.0) == LIMIT[0]
-    rig.run, rig.sequence = 2, -1
-    assert abs(rig.send(30.0)) < 100.0
 
 
 def test_a_file_that_cannot_be_run_ends_the_node_with_one_line(graph: Any, files: dict[str, Path]):

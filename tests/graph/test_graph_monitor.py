@@ -7,12 +7,14 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from abrace.nodes.graph_monitor import GraphMonitor
-from abrace_core.errors import RunFailed
+from abrace_core import RunFailed
 from abrace_interfaces.msg import Response
+from abrace_node.node import served_subscriptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -101,9 +103,28 @@ def test_a_viewer_that_has_matched_does_not_stand_for_a_partner_that_has_not(rep
     # such a publisher cannot serve it
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     graph.listen(Response, "response", latched)
-    graph.until(lambda: monitor.spin_once() or monitor._listeners("response") == 3, "the monitor to find them")
+
+    def found() -> bool:
+        monitor.spin_once()
+        return len(served_subscriptions(monitor._node, "response")) == 3
+
+    graph.until(found, "the monitor to find them")
     reports.say(plant={"subscribers of response": "2"})
     with pytest.raises(RunFailed, match=r"plant has 2 of 3 subscribers of response$"):
         monitor.wait_until_matched(EXPECTED, 0.2, lambda: None)
     reports.say(plant={"subscribers of response": "3"})
     monitor.wait_until_matched(EXPECTED, PATIENCE, lambda: None)
+
+
+@pytest.mark.parametrize("there", ["plant", "campaign", "sensor_bridge"])
+def test_a_rig_or_a_campaign_that_is_there_is_named_with_its_domain(graph: Any, domain: int, there: str):
+    with GraphMonitor(graph.namespace, (), "campaign") as monitor:
+        rclpy.create_node("logger", namespace=graph.namespace, context=graph.node.context)
+        rclpy.create_node("plant", namespace="/another", context=graph.node.context)
+        monitor.expect_no_rig(0.5)
+        node = rclpy.create_node(there, namespace=graph.namespace, context=graph.node.context)
+        node.create_publisher(Response, "response", 10)
+        message = f"namespace {graph.namespace} of ROS domain {domain} has {there} already, expected no rig and no "
+        with pytest.raises(RunFailed, match=f"^{message}campaign there: end it, or take another ROS_DOMAIN_ID or "):
+            monitor.expect_no_rig(PATIENCE)
+        node.destroy_node()

@@ -7,15 +7,16 @@ import shlex
 from pathlib import Path
 
 import pytest
+import write_nodes
 
-from abrace.cli import parser
+from abrace.cli import ON_A_NODE, parser
 
 COMMANDS = [
-    *((name,) for name in ("run", "campaign", "report", "demo", "status", "stop", "clear", "set", "bag")),
+    *((name,) for name in ("run", "campaign", "report", "demo", "status", "stop", "set", "bag", *ON_A_NODE)),
     *(("bag", name) for name in ("info", "csv", "mat", "plot")),
 ]
 PAGE = (Path(__file__).parents[2] / "docs/nodes.md").read_text()
-NODES = re.findall(r"^`abrace run (\w+) (\w+)`", PAGE, re.MULTILINE)
+NODES = [(package, name) for package, inside in write_nodes.NODES.items() for name in inside]
 
 
 @pytest.mark.parametrize(("package", "name"), NODES)
@@ -28,9 +29,8 @@ def test_help_says_what_a_node_is_and_every_parameter_with_its_default(package, 
     (example,) = re.findall(r"^example: (abrace run .*)$", text, re.MULTILINE)
     assert example.startswith(f"abrace run {package} {name} --ros-args -")
     assert set(re.findall(r"-p (\w+):=", example)) <= set(re.findall(r"^  -p (\w+):=", text, re.MULTILINE))
-    assert f"`{example}`" in PAGE
-    section = PAGE.partition(f"\n## {name}\n")[2].partition("\n## ")[0]
-    parameters = re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)
+    assert f"    {example}\n" in PAGE
+    parameters = [parameter.name for parameter in write_nodes.parameters(package, name)]
     assert parameters
     assert re.findall(r"^  -p (\w+):=\S", text, re.MULTILINE) == parameters
 

@@ -34,23 +34,25 @@ def rig_file(folder: Path, planted: Planted) -> Path:
     return file
 
 
-def drive(hands: Hands, planted: Planted) -> None:
-    """Answer a sample as a commander and a table with the cause in them do."""
-    time = hands.last.sequence / RATE
+def drive(hands: Hands, planted: Planted, begin: int) -> None:
+    """Answer a sample as a commander and a table with the cause in them do, from sample `begin` on."""
+    time = (hands.last.sequence - begin) / RATE
     more = hands._more()
     hands.send_table(planted.table(time))
     Commander.send(hands, [planted.force(time)])
     hands.graph.until(more, "the next sample")
 
 
-@pytest.mark.parametrize("interlock", ["oscillation", "table_velocity", "stuck", "clipped"])
+@pytest.mark.parametrize("interlock", ["oscillation", "stuck"])
 def test_a_planted_cause_is_named_and_latched_until_a_person_clears_it(graph: Any, interlock: str):
     planted = PLANTED[interlock]
     failing = {"sensor_faults": [f"{planted.fault}@{START}"]} if planted.fault else {}
     start_plant_in_hand(graph, rig=str(rig_file(graph.folder, planted)), seed=1, **failing)
     hands = Hands(graph)
+    hands.until(lambda: hands.last.state == Response.RUNNING, 0.0)
+    begin = hands.last.sequence
     while not hands.last.cause and hands.last.sequence < PATIENCE * RATE:
-        drive(hands, planted)
+        drive(hands, planted, begin)
     cause = hands.last.cause
     assert cause.startswith(planted.says)
     assert names(cause, interlock), cause
@@ -58,9 +60,9 @@ def test_a_planted_cause_is_named_and_latched_until_a_person_clears_it(graph: An
 
     first = hands.last.sequence
     while hands.last.state != Response.LATCHED and hands.last.sequence < first + LONGEST * RATE:
-        drive(hands, planted)
+        drive(hands, planted, begin)
     for _ in range(AFTER):
-        drive(hands, planted)
+        drive(hands, planted, begin)
     assert not hands.commands[-AFTER:].any(), "whatever is commanded"
     hands.hold(0.0, AFTER)
     assert hands.last.state == Response.LATCHED, "nobody asks for anything any more"
@@ -71,4 +73,5 @@ def test_a_planted_cause_is_named_and_latched_until_a_person_clears_it(graph: An
     assert answer.success, answer.message
     assert answer.message == f"cleared: {cause}"
     assert graph.change_state("plant", "activate")
-    graph.until(lambda: hands.last.state == Response.RUNNING, "a new run")
+    graph.until(lambda: hands.last.state == Response.ARMING, "a new run")
+    hands.until(lambda: hands.last.state == Response.RUNNING, 0.0)

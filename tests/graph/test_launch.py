@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from abrace.processes.orphan_guard import is_running
+from abrace.processes.launcher import is_running
 from abrace_bags import read_run
-from abrace_core.node.conventions import LOCKSTEP_STREAM_QOS
 from abrace_interfaces.msg import Response
+from abrace_node.transport import LOCKSTEP_STREAM_QOS
 
 LAUNCH = Path(__file__).parents[2] / "src/abrace_bringup/launch"
 
@@ -30,7 +30,8 @@ def start_launch(graph, tmp_path, monkeypatch):
 
     def start(file: str, **arguments: object) -> subprocess.Popen:
         texts = [f"{name}:={value}" for name, value in arguments.items()]
-        command = [shutil.which("ros2"), "launch", LAUNCH / f"{file}.launch.py", *texts]
+        path = file if file.endswith(".py") else LAUNCH / f"{file}.launch.py"
+        command = [shutil.which("ros2"), "launch", path, *texts]
         command += [f"namespace:={graph.namespace}", "bag:=bag"]
         # the output goes to a file: orphans would hold a pipe
         with (tmp_path / "log").open("wb") as log:
@@ -73,30 +74,13 @@ def test_wrong_arguments_are_named_and_nothing_is_started(start_launch):
     assert "process started" not in output()
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, -signal.SIGTERM), (signal.SIGKILL, -signal.SIGKILL)])
-def test_nodes_end_with_a_launch_that_is_killed_and_the_bag_is_whole(graph, start_launch, number, code):
+def test_nodes_end_with_a_launch_that_is_killed_and_the_bag_is_whole(graph, start_launch):
     launch = start_launch("identification", drive="command")
     graph.until(lambda: int(graph.values("logger").get("messages of response", 0)) > 10, "recorded responses")
-    os.kill(launch.pid, number)
-    assert launch.wait(60) == code
+    os.kill(launch.pid, signal.SIGKILL)
+    assert launch.wait(60) == -signal.SIGKILL
     graph.until(lambda: not is_running(launch.pid), "the end of all nodes")
     assert Path("bag/metadata.yaml").is_file()
-
-
-def test_a_missing_rig_is_named(start_launch):
-    launch = start_launch("identification", drive="command", plant="false", patience=8.0)
-    assert launch.wait(60) == 1
-    assert "excitation has 0 of 1 publishers of response" in output()
-    assert not is_running(launch.pid)
-
-
-def test_a_node_that_refuses_ends_the_launch(start_launch):
-    Path("wrong.yaml").write_text("/**/logger:\n  ros__parameters: {split_size: -1}\n")
-    launch = start_launch("identification", drive="command", parameters="wrong.yaml")
-    assert launch.wait(60) == 1
-    assert "logger: parameter split_size" in output()
-    assert "logger has ended with exit code 2" in output()
-    assert not is_running(launch.pid)
 
 
 def test_interrupts_of_terminal_and_launch_together_end_a_launch_cleanly(graph, start_launch):
@@ -104,7 +88,46 @@ def test_interrupts_of_terminal_and_launch_together_end_a_launch_cleanly(graph, 
     graph.until(lambda: int(graph.values("logger").get("messages of response", 0)) > 10, "recorded responses")
     for _ in range(2):
         os.killpg(launch.pid, signal.SIGINT)
-    assert launch.wait(60) == 0, output()
+    assert launch.wait(60) == 1, output()
+    assert "the test was stopped before it was done" in output()
     assert not is_running(launch.pid)
     assert "Traceback" not in output()
     assert Path("bag/metadata.yaml").is_file()
+
+
+TWICE = """
+from launch import EventHandler, LaunchDescription
+from launch.actions import GroupAction, IncludeLaunchDescription, OpaqueFunction, RegisterEventHandler
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch_ros.actions import PushRosNamespace
+from launch_ros.events.lifecycle import StateTransition
+
+
+def told(context):
+    print(f"{context.locals.event.action.node_name} is {context.locals.event.goal_state}", flush=True)
+
+
+def included(name, duration):
+    given = {"drive": "command", "duration": duration, "free_decay": "0.5", "bag": name, "parameters": "lockstep.yaml"}
+    file = PythonLaunchDescriptionSource("FILE")
+    return GroupAction([PushRosNamespace(name), IncludeLaunchDescription(file, launch_arguments=given.items())])
+
+
+def generate_launch_description():
+    tell = OpaqueFunction(function=told)
+    hear = EventHandler(matcher=lambda event: isinstance(event, StateTransition), entities=tell)
+    return LaunchDescription([RegisterEventHandler(hear), included("a", "4.0"), included("b", "16.0")])
+"""
+
+
+def test_two_tests_in_one_launch_file_both_go_to_their_end(start_launch):
+    Path("two.launch.py").write_text(TWICE.replace("FILE", str(LAUNCH / "identification.launch.py")))
+    Path("lockstep.yaml").write_text(
+        "/**/plant:\n  ros__parameters: {lockstep: true, wait_for: [brace_command]}\n"
+        "/**/logger:\n  ros__parameters: {lockstep: true}\n"
+    )
+    launch = start_launch("two.launch.py")
+    assert launch.wait(120) == 0, output()
+    assert [len(read_run(bag).sequence) > 500 * seconds for bag, seconds in (("a", 4), ("b", 16))] == [True, True]
+    for name in ("a", "b"):
+        assert any(line.startswith(f"/{name}/") and "/plant is active" in line for line in output().splitlines())

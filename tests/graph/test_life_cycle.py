@@ -10,10 +10,12 @@ from rcl_interfaces.msg import Log, Parameter
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import get_parameter_value
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from running_graph import SLOW
 from std_msgs.msg import Bool
 
-from abrace_core.controller_file import Controller, save_controller
-from abrace_core.linear_model import LinearModel
+from abrace_core.model.controller_file import Controller, save_controller
+from abrace_core.model.linear_model import LinearModel
+from abrace_core.safety.stop_senders import UNNAMED
 from abrace_interfaces.msg import BraceCommand, Response
 
 LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -50,7 +52,7 @@ def test_the_plant_does_nothing_until_it_is_configured_and_activated(graph):
 
 def test_a_rig_is_cleaned_up_while_commanders_come_and_go(graph):
     graph.start("plant", autostart=False)
-    for _ in range(20):
+    for _ in range(8):
         assert graph.change_state("plant", "configure")
         request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CLEANUP))
         answer = graph.ask(ChangeState, "plant/change_state", request)
@@ -110,30 +112,19 @@ def test_a_transition_out_of_turn_is_refused_with_a_reason_and_the_node_goes_on(
     assert graph.node.count_publishers("response") == 1
 
 
-def test_a_rig_configured_anew_publishes_each_sample_once(graph):
-    graph.by_the_clock = True
-    graph.start("plant", autostart=False)
-    for transition in ("configure", "activate", "deactivate", "cleanup", "configure", "activate"):
-        assert graph.change_state("plant", transition), transition
-    responses = graph.listen(Response, "response")
-    until_samples(graph, responses, 100)
-    assert (np.diff([response.sequence for response in responses]) == 1).all()
-    assert graph.node.count_publishers("response") == 1
-
-
-def test_a_table_and_braces_configured_anew_answer_each_sample_once(graph):
+def test_nodes_that_are_configured_anew_answer_each_sample_once(graph):
     graph.start("plant", lockstep=True, wait_for=["brace_command", "ground_motion"], duration=1.0, autostart=False)
     graph.start("ground_motion", record="white_noise", duration=9.0, autostart=False)
     graph.start("excitation", duration=9.0, autostart=False)
-    for name in ("ground_motion", "excitation"):
-        for transition in ("configure", "cleanup", "configure", "activate"):
+    for name in ("ground_motion", "excitation", "plant"):
+        for transition in ("configure", "cleanup", "configure", "activate")[: 3 if name == "plant" else 4]:
             assert graph.change_state(name, transition), transition
-    assert graph.change_state("plant", "configure")
     graph.until_matched("plant", response=2, brace_command=1, ground_motion=1)
     graph.until_matched("excitation", response=1, brace_command=1)
     graph.until_matched("ground_motion", response=1, ground_motion=1)
     graph.may_end.add("plant")
     assert graph.change_state("plant", "activate")
+    graph.play("ground_motion", "excitation")
     assert graph.ended("plant") == 0
     assert graph.output_of("plant")[-1].startswith("plant: done: 500 samples")
 
@@ -162,12 +153,16 @@ def test_a_stop_outlives_every_change_of_the_life_cycle_and_is_logged_once(graph
     graph.until(lambda: graph.clear_fault("plant").success, "it to be cleared")
     graph.until_well("plant")
     assert graph.change_state("plant", "activate")
-    remedy = f"remove its cause, then: ros2 service call {graph.namespace}/plant/clear_fault std_srvs/srv/Trigger"
-    expected = [(b"(", f"fault: {cause}; {remedy}"), (b"\x14", f"fault cleared: {cause}")]
+    remedy = f"remove its cause, then: abrace clear {graph.namespace}/plant"
+    # the middleware may tell the sender's name after its message
+    cause_at_first = cause.replace(f"{graph.namespace}/test", UNNAMED)
+    expected = [
+        [(b"(", f"fault: {each}; {remedy}"), (b"\x14", f"fault cleared: {cause}")] for each in (cause, cause_at_first)
+    ]
     logger = f"{graph.namespace[1:]}.plant"
     graph.until(lambda: len([one for one in logged if one.name == logger]) >= 4, "its log")
     shown = [(bytes([one.level]), one.msg) for one in logged if one.name == logger and "refused" not in one.msg]
-    assert shown == expected
+    assert shown in expected
 
 
 def test_a_stop_that_was_pressed_before_the_rig_was_there_is_heard(graph):
@@ -180,25 +175,15 @@ def test_a_stop_that_was_pressed_before_the_rig_was_there_is_heard(graph):
 
 def test_a_node_that_is_shut_down_while_active_lets_go(graph):
     graph.by_the_clock = True
-    graph.start("plant")
-    graph.start("excitation", duration=60.0, rms=5000.0)
+    graph.start("plant", rig=graph.slow_rig(), command_timeout=1.0, late_limit=1000)
+    graph.start("excitation", duration=60.0, rms=2500.0, band=[0.5, 5.0], sample_rate=SLOW)
     responses = graph.listen(Response, "response")
-    graph.until(lambda: responses and abs(responses[-1].command[0]) > 2000, "the braces to push")
+    graph.play("excitation")
+    graph.until(lambda: responses and abs(responses[-1].command[0]) > 1000, "the braces to push")
     assert graph.change_state("excitation", "shutdown")
     assert graph.state("excitation") == "finalized"
     graph.until(lambda: not responses[-1].command[0], "the force to go to zero")
     graph.until_well("plant")
-
-
-def test_a_rig_that_cannot_be_configured_says_so_and_stays(graph):
-    graph.start("plant", autostart=False, rig="none")
-    assert not graph.change_state("plant", "configure")
-    assert graph.state("plant") == "unconfigured"
-    lines = graph.output_of("plant")
-    # one a request: the test asks again where the answer was lost
-    assert lines
-    assert all("configure refused: rig 'none': unknown" in line for line in lines)
-    assert graph.node.count_publishers("response") == 0
 
 
 def test_a_rig_that_started_by_itself_says_too_why_it_is_not_configured_again(graph):

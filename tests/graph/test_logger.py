@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -21,10 +22,10 @@ from std_msgs.msg import Bool, Float64, Header, String
 from std_srvs.srv import Trigger
 
 from abrace.processes.parameter_file import parameter_file
-from abrace_bags import read_facts, read_topics
+from abrace_bags import Bag
 from abrace_bags.nodes import raw_subscription
 from abrace_bags.nodes.logger import Logger
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 from abrace_interfaces.msg import BraceCommand
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -44,8 +45,8 @@ def ask(graph, service, success=True):
 
 
 def until_counted(graph, topic, count):
-    """Wait for so many messages; every answer, here that nothing pauses, comes with fresh diagnostics."""
-    graph.until(lambda: ask(graph, "resume") and counted(graph, topic) == count, f"{count} messages of {topic}")
+    """Wait for so many messages."""
+    graph.until(lambda: counted(graph, topic) == count, f"{count} messages of {topic}")
 
 
 def know_services(graph, *services):
@@ -82,64 +83,38 @@ def own_logger(graph, domain):
     rclpy.try_shutdown()
 
 
-def test_topics_are_found_by_pattern_whatever_their_type_when_they_appear(graph):
+def test_topics_are_recorded_whatever_their_type_when_they_appear(graph):
     bag = graph.folder / "bag"
-    graph.start("logger", output=str(bag), topics=["first"], pattern="/sensor_[0-9]+$")
+    graph.publisher(String, "note", TRANSIENT_LOCAL, subscribers=0).publish(String(data="said before"))
+    graph.start("logger", output=str(bag), topics=["first", "sensor", "note", "/rosout"])
     first = graph.publisher(Float64, "first")
     matched(graph, "first")
-    sensor = graph.publisher(Imu, "sensor_12", BEST_EFFORT)
-    other = graph.publisher(Imu, "sensor_x", subscribers=0)
-    matched(graph, f"{graph.namespace}/sensor_12")
+    sensor = graph.publisher(Imu, "sensor", BEST_EFFORT)
+    matched(graph, "sensor")
     for k in range(20):
         publish_numbers(first, [k])
         sensor.publish(Imu(header=Header(frame_id=f"mast {k}")))
-        other.publish(Imu())
-    graph.until(lambda: counted(graph, f"{graph.namespace}/sensor_12") == 20, "all readings")
+    graph.until(lambda: counted(graph, "sensor") == 20, "all readings")
+    until_counted(graph, "note", 1)
     assert graph.stop("logger") == 0
-    topics = read_topics(bag)
-    assert set(topics) == {f"{graph.namespace}/first", f"{graph.namespace}/sensor_12"}
-    assert list(topics[f"{graph.namespace}/sensor_12"].fields["header.frame_id"]) == [f"mast {k}" for k in range(20)]
+    topics = Bag(bag).arrays()
+    assert set(topics) == {*(f"{graph.namespace}/{name}" for name in ("first", "sensor", "note")), "/rosout"}
+    assert list(topics[f"{graph.namespace}/note"].fields["data"]) == ["said before"]
+    assert list(topics[f"{graph.namespace}/sensor"].fields["header.frame_id"]) == [f"mast {k}" for k in range(20)]
     np.testing.assert_array_equal(topics[f"{graph.namespace}/first"].fields["data"], np.arange(20.0))
     information = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     profiles = {
         topic["topic_metadata"]["name"].rpartition("/")[2]: topic["topic_metadata"]["offered_qos_profiles"][0]
         for topic in information["topics_with_message_count"]
     }
-    assert profiles["sensor_12"]["reliability"] == "best_effort"
+    assert profiles["sensor"]["reliability"] == "best_effort"
     assert profiles["first"]["reliability"] == "reliable"
 
 
-def test_all_topics_are_recorded(graph):
+def test_stop_and_start_are_services(graph):
     bag = graph.folder / "bag"
-    graph.publisher(String, "note", TRANSIENT_LOCAL, subscribers=0).publish(String(data="said before"))
-    graph.start("logger", output=str(bag), all=True)
-    note = f"{graph.namespace}/note"
-    graph.until(lambda: counted(graph, note) == 1, "the note")
-    graph.until(lambda: counted(graph, "/diagnostics") > 0, "diagnostics")
-    assert graph.stop("logger") == 0
-    topics = read_topics(bag)
-    assert list(topics[note].fields["data"]) == ["said before"]
-    assert {"/diagnostics", "/rosout", "/parameter_events"} <= set(topics)
-
-
-def test_a_publisher_that_offers_less_is_recorded_like_the_first(graph):
-    bag = graph.folder / "bag"
-    graph.start("logger", output=str(bag), topics=["both"])
-    graph.publisher(Float64, "both")
-    matched(graph, "both")
-    second = graph.node.create_publisher(Float64, "both", BEST_EFFORT)
-    matched(graph, "both", 2)
-    graph.until(lambda: second.get_subscription_count(), "the second one's match")
-    publish_numbers(second, [1, 2, 3])
-    graph.until(lambda: counted(graph, "both") == 3, "its messages, which are not acknowledged")
-    assert graph.stop("logger") == 0
-    assert list(read_topics(bag)[f"{graph.namespace}/both"].fields["data"]) == [1, 2, 3]
-
-
-def test_pause_split_stop_and_start_are_services(graph):
-    bag = graph.folder / "bag"
-    know_services(graph, "start", "stop", "pause", "resume", "split")
-    graph.start("logger", output=str(bag), topics=["value"], autostart=False, compression="lz4")
+    know_services(graph, "start", "stop")
+    graph.start("logger", output=str(bag), topics=["value"], autostart=False)
     value = graph.publisher(Float64, "value", subscribers=0)
     assert "nothing is being recorded" in ask(graph, "stop", success=False)
     assert not bag.exists()
@@ -147,18 +122,11 @@ def test_pause_split_stop_and_start_are_services(graph):
     assert "already" in ask(graph, "start", success=False)
     matched(graph, "value")
     graph.until(value.get_subscription_count, "the publisher's match")
-    for first, service in ((0, "split"), (5, "pause")):
-        publish_numbers(value, range(first, first + 5))
-        until_counted(graph, "value", first + 5)
-        ask(graph, service)
-        graph.until(lambda: graph.values("logger").get("file", "").endswith("bag_1.mcap"), "the next file")
-    publish_numbers(value, range(10, 15))
+    publish_numbers(value, range(5))
     assert value.wait_for_all_acked()
-    ask(graph, "resume")
-    publish_numbers(value, range(15, 20))
-    until_counted(graph, "value", 15)
-    assert "15 of value" in ask(graph, "stop")
+    assert "5 of value" in ask(graph, "stop"), "what has come is recorded"
     graph.until(lambda: not value.get_subscription_count(), "the end of the subscription")
+    publish_numbers(value, [50])
     assert ask(graph, "start").endswith("bag_2")
     matched(graph, "value")
     graph.until(value.get_subscription_count, "the publisher's match")
@@ -166,37 +134,8 @@ def test_pause_split_stop_and_start_are_services(graph):
     until_counted(graph, "value", 1)
     assert graph.stop("logger") == 0
     topic = f"{graph.namespace}/value"
-    assert list(read_topics(bag)[topic].fields["data"]) == [*range(10), *range(15, 20)]
-    assert list(read_topics(bag / "bag_1.mcap")[topic].fields["data"]) == [*range(5, 10), *range(15, 20)]
-    assert list(read_topics(bag.with_name("bag_2"))[topic].fields["data"]) == [99]
-
-
-def test_messages_that_came_before_a_pause_are_recorded(graph, own_logger):
-    value = graph.node.create_publisher(Float64, "value", 2000)
-    logger = own_logger(topics=["value"])
-    graph.until(lambda: logger.discover() or value.get_subscription_count(), "a match")
-    publish_numbers(value, range(2000))
-    assert value.wait_for_all_acked()
-    assert logger.pause() == "paused"
-    publish_numbers(value, range(2000, 2010))
-    assert value.wait_for_all_acked()
-    assert logger.stop().endswith("2000 of value")
-    logger.close()
-
-
-def test_a_snapshot_holds_what_was_before_the_request(graph):
-    bag = graph.folder / "bag"
-    know_services(graph, "snapshot")
-    graph.start("logger", output=str(bag), topics=["value"], snapshot=1000.0)
-    value = graph.publisher(Float64, "value")
-    matched(graph, "value")
-    publish_numbers(value, range(50))
-    until_counted(graph, "value", 50)
-    assert "writing 50 messages" in ask(graph, "snapshot")
-    publish_numbers(value, range(50, 60))
-    until_counted(graph, "value", 60)
-    assert graph.stop("logger") == 0
-    assert list(read_topics(bag)[f"{graph.namespace}/value"].fields["data"]) == list(range(50))
+    assert list(Bag(bag).arrays()[topic].fields["data"]) == list(range(5))
+    assert list(Bag(bag.with_name("bag_2")).arrays()[topic].fields["data"]) == [99]
 
 
 def test_gaps_attachments_versions_and_parameters_are_in_the_bag(graph):
@@ -209,13 +148,13 @@ def test_gaps_attachments_versions_and_parameters_are_in_the_bag(graph):
         publisher.publish(BraceCommand(sequence=number, force=[1.0]))
     until_counted(graph, "brace_command", 5)
     assert graph.stop("logger") == 0
-    assert read_facts(bag) == {"record": "el_centro"}
+    assert Bag(bag).facts == {"record": "el_centro"}
     with (bag / "bag_0.mcap").open("rb") as file:
         reader = mcap.reader.make_reader(file, validate_crcs=True)
         records = {record.name: record.metadata for record in reader.iter_metadata()}
         (attachment,) = reader.iter_attachments()
     counts = json.loads(records["abrace_topics"][f"{graph.namespace}/brace_command"])
-    assert counts == {"messages": 5, "gaps": 1, "missing": 2, "lost": 0}
+    assert counts.items() >= {"messages": 5, "gaps": 1, "missing": 2, "lost": 0}.items()
     assert json.loads(records["abrace_logger"]["topics"]) == ["brace_command"]
     assert "abrace_core" in records["abrace_versions"]
     assert (attachment.name, attachment.data) == ("rig.yaml", b"storeys: 3\n")
@@ -242,7 +181,7 @@ def test_a_topic_with_two_types_is_a_fault_and_the_others_are_recorded_on(graph,
     assert graph.stop("logger") == 1
     assert any("topics not recorded as requested" in line for line in graph.output_of("logger"))
     assert sum("fault: " in line and "odd: has the types" in line for line in graph.output_of("logger")) == 1
-    assert list(read_topics(bag)[f"{graph.namespace}/value"].fields["data"]) == [1, 2, 3]
+    assert list(Bag(bag).arrays()[f"{graph.namespace}/value"].fields["data"]) == [1, 2, 3]
     assert (bag / "metadata.yaml").is_file()
 
 
@@ -293,14 +232,14 @@ def test_a_message_without_a_valid_time_is_recorded_and_reported_once(graph, own
     assert logger.diagnose()[2]["without a valid time of value"] == 5
     logger.close()
     assert capfd.readouterr().err.count("/value: messages without a valid time") == 1
-    recorded = read_topics(graph.folder / "bag")[f"{graph.namespace}/value"]
+    recorded = Bag(graph.folder / "bag").arrays()[f"{graph.namespace}/value"]
     assert list(recorded.fields["data"]) == list(range(15))
     assert recorded.log_time[-1] - recorded.log_time[0] < 60e9
 
 
 def test_a_full_disk_ends_the_logger_and_leaves_what_was_recorded(graph):
     bag = graph.folder / "bag"
-    graph.start("logger", output=str(bag), topics=["note"], compression="none")
+    graph.start("logger", output=str(bag), topics=["note"])
     note = graph.publisher(String, "note")
     matched(graph, "note")
     graph.may_end.add("logger")
@@ -308,14 +247,14 @@ def test_a_full_disk_ends_the_logger_and_leaves_what_was_recorded(graph):
     resource.prlimit(process.group, resource.RLIMIT_FSIZE, (200_000, 200_000))
     sent = 0
     while process.returncode is None:
-        note.publish(String(data="x" * 1000))
+        note.publish(String(data=os.urandom(500).hex()))
         sent += 1
         graph.executor.spin_once(timeout_sec=0.001)
     assert graph.ended("logger") == 1
     said = graph.output_of("logger")
     assert sum("File too large" in line for line in said) == 1, said
     assert "Traceback" not in "\n".join(said)
-    recorded = read_topics(bag)[f"{graph.namespace}/note"]
+    recorded = Bag(bag).arrays()[f"{graph.namespace}/note"]
     assert 100 < len(recorded.log_time) < sent
     assert (bag / "metadata.yaml").is_file()
 
@@ -340,21 +279,14 @@ sys.exit(main())
 
 @pytest.mark.usefixtures("domain")
 def test_a_killed_logger_leaves_all_but_its_last_moments_whenever_it_is_killed():
-    found = logger_endurance.kills(3)
-    assert found["opened"] == found["kills"] == 3
+    found = logger_endurance.kills(1)
+    assert found["opened"] == found["kills"] == 1
     assert found["missing"] == 0
-    assert found["worst_gap_seconds"] < 0.2
+    assert found["worst_gap_seconds"] < 2.0, "the claim of 0.2 s: make verify PARTS=bags"
 
 
 @pytest.mark.usefixtures("domain")
 def test_a_power_loss_takes_the_last_moments_whenever_it_comes():
-    found = logger_endurance.power_losses(10, loggers=1, duration=2.0)
-    assert found["opened"] == found["runs"] == 10
+    found = logger_endurance.power_losses(4, loggers=1, duration=1.0)
+    assert found["opened"] == found["runs"] == 4
     assert found["worst_missing_seconds"] < 1.5
-
-
-@pytest.mark.usefixtures("domain")
-def test_nothing_is_lost_of_three_topics_at_500_hz():
-    found = logger_endurance.record_steadily(duration=2.0)
-    assert found["messages"] == 3000
-    assert found["lost"] == 0

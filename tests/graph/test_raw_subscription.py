@@ -12,10 +12,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import QosDurability
 from std_msgs.msg import String, UInt8MultiArray
 
-from abrace_bags.nodes.raw_subscription import DEPTH, MEMORY, RawSubscription, publishers_of
+from abrace_bags.nodes.endpoint import Publisher, publishers_of
+from abrace_bags.nodes.raw_subscription import DEPTH, MEMORY, RawSubscription
 from abrace_bags.qos import DEFAULT_QOS
-from abrace_bags.topic_choice import Publisher
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

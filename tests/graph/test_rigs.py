@@ -6,32 +6,26 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pytest
 from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import get_parameter_value
 
-from abrace.benchmark.definition import Case, load_definition
-from abrace.benchmark.frame_benchmark import FrameBenchmark
-from abrace.benchmark.laws import designed
-from abrace.benchmark.recorded import recorded
-from abrace_bags import read_run, read_topics
-from abrace_core.controller_file import Controller, save_controller
-from abrace_core.node import find_file
+from abrace_bags import Bag, read_run
+from abrace_core.files.installed import find_file
+from abrace_core.model.controller_file import Controller, save_controller
 from abrace_interfaces.msg import Response
 from abrace_lqg.design import design
 from abrace_lqg.weights import load_weights
 from abrace_plant.rig.file import load_rig
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from abrace_plant.rig.model import Rig
 
-SECONDS = 6.0
+SECONDS = 3.0
 TOPICS = ("response", "brace_command", "ground_motion")
-RIGS = {"ncree_as_a_rig": (3, (2,)), "ten_storey": (10, (2, 2, 2, 1)), "single_storey": (1, (1,))}
+RIGS = {"ten_storey": (10, (2, 2, 2, 1)), "single_storey": (1, (1,))}
 """Floors, and braces in each group, of rigs in the configuration beside the paper's."""
 
 
@@ -39,30 +33,19 @@ def rig_named(name: str) -> Rig:
     return load_rig(find_file(name, "abrace_plant", "config", ".yaml", "rig"))
 
 
-def record(
-    graph: Any, rig: str, commander: str, *arguments: Path, motion: str = "white_noise", **parameters: object
-) -> Path:
+def record(graph: Any, rig: str, commander: str, *arguments: Path, **parameters: object) -> Path:
     """A lockstep run of a rig with a motion of its table and a commander at its braces."""
     bag, rate = graph.folder / "bag", rig_named(rig).sample_rate
     graph.start("logger", output=str(bag), topics=list(TOPICS), facts=[f"sample_period={1 / rate:g}"])
     graph.start("plant", autostart=False, rig=rig, lockstep=True, wait_for=list(TOPICS[1:]), duration=SECONDS, seed=1)
-    graph.start("ground_motion", record=motion, duration=SECONDS, rig=rig, sample_rate=rate)
+    graph.start("ground_motion", record="white_noise", duration=SECONDS, rig=rig)
     graph.start(commander, *arguments, **parameters)
-    assert graph.change_state("plant", "configure")
-    graph.until_matched("plant", response=3, brace_command=1, ground_motion=1)
-    for name in (commander, "ground_motion", "logger"):
-        graph.until_matched(name, response=1)
-    graph.until_matched("logger", brace_command=1, ground_motion=1)
-    graph.may_end.add("plant")
-    assert graph.change_state("plant", "activate")
-    assert graph.ended("plant") == 0
-    for name in (commander, "ground_motion", "logger"):
-        assert graph.stop(name) == 0
+    graph.run_to_the_end()
     return bag
 
 
 def expect_lengths(bag: Path, floors: int, braces: tuple[int, ...]) -> None:
-    response = read_topics(bag)
+    response = Bag(bag).arrays()
     (recorded,) = (topic.fields for name, topic in response.items() if name.endswith("/response"))
     for name in ("displacement", "acceleration"):
         assert recorded[name].shape[1] == floors, name
@@ -77,8 +60,8 @@ def expect_lengths(bag: Path, floors: int, braces: tuple[int, ...]) -> None:
     assert not run.facts.get("warnings")
 
 
-@pytest.mark.parametrize("name", RIGS)
-def test_white_noise_shakes_and_drives_any_rig(graph, name):
+def test_white_noise_shakes_and_drives_any_rig(graph):
+    name = "ten_storey"
     capacity = rig_named(name).capacity
     rms = 0.05 * float(capacity.min())
     bag = record(graph, name, "excitation", duration=SECONDS, rms=rms, force_limit=capacity.tolist())
@@ -88,8 +71,8 @@ def test_white_noise_shakes_and_drives_any_rig(graph, name):
     assert (np.abs(run.outputs).max(axis=0) > 0).all()
 
 
-@pytest.mark.parametrize("name", RIGS)
-def test_a_controller_of_its_own_controls_any_rig(graph, name, tmp_path):
+def test_a_controller_of_its_own_controls_any_rig(graph, tmp_path):
+    name = "single_storey"
     rig = rig_named(name)
     weights = load_weights(find_file("lqg3", "abrace_lqg", "config", ".yaml", "weights"))
     measured = [f"a{floor + 1}" for floor in range(rig.floors)]
@@ -102,27 +85,11 @@ def test_a_controller_of_its_own_controls_any_rig(graph, name, tmp_path):
     assert (np.abs(read_run(bag).command).max(axis=0) > 0).all(), "each group is at work"
 
 
-def test_the_20_storey_building_moves_in_the_graph_as_its_frame_does_offline(graph, tmp_path):
-    definition = load_definition("sac_la_20")
-    whole = Case(record="el_centro", intensity=1.0)
-    benchmark = FrameBenchmark(definition.model_copy(update={"cases": [whole], "duration": SECONDS}), noise_seed=1)
-    law = designed(benchmark, definition.weights)
-    ((_, offline),) = benchmark.evaluate(law).values()
-    file = tmp_path / "controller.yaml"
-    save_controller(law, file)
-    bag = record(graph, "sac_la_20", "controller", "--params-file", file, motion="el_centro", rate_limit=1e9)
-    expect_lengths(bag, 20, tuple(definition.devices.per_storey))
-    found = recorded(benchmark, read_run(bag))
-    force = np.repeat(offline.force, definition.devices.per_storey, axis=1)
-    for measured, computed, share in ((found.displacement, offline.displacement, 0.05), (found.force, force, 0.3)):
-        samples = min(len(measured), len(computed))
-        assert np.abs(measured[:samples] - computed[:samples]).max() < share * np.abs(computed).max()
-
-
 def test_a_rig_with_its_braces_off_is_the_bare_frame(graph):
     graph.start("plant", disconnected_braces=[1], lockstep=True)
     graph.start("excitation", duration=60.0, rms=2000.0)
     responses = graph.listen(Response, "response")
+    graph.play("excitation")
     graph.until(lambda: responses and abs(responses[-1].command[0]) > 1000, "commands")
     sensors = rig_named("ncree_three_storey").sensors
     assert max(abs(message.force[0]) for message in responses) < 6 * sensors.force.noise
@@ -157,15 +124,3 @@ def test_a_channel_dies_on_demand_and_comes_back(graph):
     assert noise() == 0, "what was in force stays"
     assert set_faults(graph, "[]").successful
     graph.until(lambda: noise() > 0, "a2 to be back")
-
-
-def test_wrong_faults_and_groups_end_the_node_with_one_line(new_graph: Callable):
-    for parameters, message in (
-        ({"sensor_faults": ["b2=stuck"]}, "sensor fault 'b2=stuck': expected CHANNEL=KIND"),
-        ({"disconnected_braces": [2]}, "brace group 2: expected one of the rig's groups, 1 to 1"),
-    ):
-        with new_graph() as graph:
-            graph.start("plant", **parameters)
-            assert graph.ended("plant") == 2
-            (line,) = graph.output_of("plant")
-            assert line.startswith(f"plant: {message}")

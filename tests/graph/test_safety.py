@@ -17,9 +17,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 PUSH = 20e3
-CAPACITY = 24516.625
-RATE_STEP = 5.0e6 / 500
+RATE_STEP = 2.5e6 / 500
 RAMP_SAMPLES = 250
+SLOWEST = 430
+"""Samples of the building's slowest period, in which rest is measured."""
 NOISE = 16.0
 
 
@@ -57,10 +58,11 @@ class Bench:
         refused = self.graph.clear_fault("plant")
         assert not refused.success
         assert refused.message == "brace_command still requests 20000, expected every input at rest first"
-        self.hand.hold(0.0, 2)
+        self.hand.hold(0.0, SLOWEST)
         answer = self.graph.clear_fault("plant")
         assert answer.success, answer.message
         assert reason in answer.message
+        self.hand.hold(0.0, 3)  # the target is armed meanwhile
         self.hand.hold(3000.0, RAMP_SAMPLES + 5)
         assert self.hand.responses[-1].state == Response.RUNNING
         assert not self.hand.responses[-1].cause
@@ -80,65 +82,28 @@ def rig(new_graph: Callable, new_commander: Callable) -> Iterator[Bench]:
 @pytest.fixture
 def bench(rig: Bench) -> Bench:
     """The plant without a fault and without force."""
-    rig.hand.hold(0.0, RAMP_SAMPLES + 10)
+    rig.hand.hold(0.0, RAMP_SAMPLES + SLOWEST)
     rig.graph.clear_fault("plant")
     rig.hand.hold(0.0, RAMP_SAMPLES + 10)
     assert not rig.hand.commands[-10:].any()
     return rig
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_a_command_that_is_not_finite_takes_the_force_smoothly_to_zero(bench, bad):
+def test_a_command_of_the_wrong_length_takes_the_force_smoothly_to_zero(bench):
     first = bench.push()
-    bench.hand.answer([bad])
-    bench.expect_smooth_end(first + 1)
-    bench.expect_latched_until_cleared("expected finite numbers")
-
-
-@pytest.mark.parametrize("bad", [[], [PUSH, PUSH]])
-def test_a_command_of_the_wrong_length_takes_the_force_smoothly_to_zero(bench, bad):
-    first = bench.push()
-    bench.hand.answer(bad)
+    bench.hand.answer([PUSH, PUSH])
     bench.expect_smooth_end(first + 1)
     bench.expect_latched_until_cleared("expected (1,)")
 
 
-def test_two_answers_to_one_sample_take_the_force_smoothly_to_zero(bench):
-    first = bench.push()
-    bench.hand.send([PUSH])
-    bench.hand.send([-PUSH])
-    bench.graph.until(lambda: len(bench.hand.responses) > first, "the next sample")
-    bench.expect_smooth_end(first + 2)
-    bench.expect_latched_until_cleared("two messages on brace_command")
-
-
-def test_it_is_not_cleared_on_the_way_to_rest(bench):
-    first = bench.push()
-    bench.hand.answer([math.nan])
-    bench.hand.hold(PUSH, 100)
-    answer = bench.graph.clear_fault("plant")
-    assert not answer.success
-    assert answer.message.startswith("still ramping down (command ")
-    bench.expect_smooth_end(first + 1)
-
-
-def test_a_fault_of_the_commander_stops_the_rig(bench):
-    first = bench.push()
-    bench.hand.send([PUSH], "its law is lost")
-    bench.graph.until(lambda: len(bench.hand.responses) > first, "the next sample")
-    bench.expect_smooth_end(first + 1)
-    bench.expect_latched_until_cleared("brace_command: its sender reports: its law is lost")
-
-
-QOS = {
-    "the default of rclpy and ros2 topic pub": QoSProfile(depth=10),
-    "latched": QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
-    "best effort": QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
+BUTTONS = {
+    "the default of rclpy and ros2 topic pub": ("emergency_stop", QoSProfile(depth=10)),
+    "latched": ("/emergency_stop", QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)),
+    "best effort": ("emergency_stop", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)),
 }
 
 
-@pytest.mark.parametrize("topic", ["emergency_stop", "/emergency_stop"])
-@pytest.mark.parametrize("qos", QOS.values(), ids=QOS)
+@pytest.mark.parametrize(("topic", "qos"), BUTTONS.values(), ids=BUTTONS)
 def test_a_stop_is_heard_on_both_names_with_any_qos_and_held_until_its_sender_releases_it(bench, topic, qos):
     bench.push()
     button = bench.graph.publisher(Bool, topic, qos)
@@ -176,28 +141,6 @@ def test_a_stop_whose_sender_has_left_counts_until_a_person_clears_it(bench):
     button.publish(Bool(data=True))
     bench.graph.until(lambda: bench.hand.hold(0.0, 1) or bench.hand.states[-1] == Response.PROTECTIVE_STOP, "the stop")
     bench.graph.node.destroy_publisher(button)
-    bench.hand.hold(0.0, 100)
+    bench.hand.hold(0.0, SLOWEST)
     assert bench.hand.states[-1] == Response.PROTECTIVE_STOP
     bench.graph.until(lambda: bench.graph.clear_fault("plant").success, "it to be cleared")
-
-
-def test_a_command_above_the_capacity_is_cut_to_it(bench):
-    before = int(bench.graph.values("plant").get("saturations", 0))
-    bench.hand.hold(1e6, 10)
-    bench.hand.hold(-1e6, 10)
-    bench.hand.hold(0.0, 10)
-    commands, forces = bench.hand.commands[-32:], bench.hand.forces[-32:]
-    assert (commands.max(), commands.min()) == (CAPACITY, -CAPACITY)
-    assert np.abs(np.diff(commands)).max() <= RATE_STEP * (1 + 1e-12)
-    assert np.abs(forces).max() < CAPACITY + 6 * NOISE
-    bench.graph.until(
-        lambda: int(bench.graph.values("plant")["saturations"]) == before + 20, "20 saturations in the diagnostics"
-    )
-    bench.graph.until_well("plant")
-
-
-def test_a_command_within_the_limits_acts_bit_for_bit(bench):
-    wanted = np.random.default_rng(3).uniform(-800, 800, 50)
-    bench.hand.answer(*([force] for force in wanted))
-    bench.hand.hold(0.0, 1)
-    np.testing.assert_array_equal(bench.hand.commands[-50:], wanted)

@@ -10,8 +10,8 @@ from rclpy.duration import Duration
 from running_graph import STREAM
 from std_msgs.msg import Bool
 
-from abrace_core.node.stop_listener import StopListener
 from abrace_interfaces.msg import Response
+from abrace_node.stop_listener import StopListener
 
 OTHERS = 150
 """Messages of another button; one of ten a second and a rig that does not read for 15 s."""
@@ -25,9 +25,9 @@ def test_a_stop_is_not_displaced_by_other_buttons_before_it_is_read(graph):
         other.publish(Bool(data=False))
     for button in (one, other):
         assert button.wait_for_all_acked(Duration(seconds=60.0))
-    assert listener.who() == f"pressed by {graph.namespace}/test"
+    assert listener.pressed_by() == f"pressed by {graph.namespace}/test"
     one.publish(Bool(data=False))
-    graph.until(lambda: not listener.who(), "the release of that button")
+    graph.until(lambda: not listener.pressed_by(), "the release of that button")
     listener.close()
 
 

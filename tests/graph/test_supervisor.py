@@ -6,8 +6,8 @@ import pytest
 from rcl_interfaces.srv import ListParameters
 
 from abrace_bags import read_run, read_runs
-from abrace_core.node.conventions import LOCKSTEP_STREAM_QOS
 from abrace_interfaces.msg import BraceCommand, Response
+from abrace_node.transport import LOCKSTEP_STREAM_QOS
 
 pytestmark = pytest.mark.usefixtures("domain")
 
@@ -36,9 +36,9 @@ def test_a_test_begins_when_it_is_recorded_and_ends_after_its_signal_whoever_lis
 
 def test_a_rig_that_runs_elsewhere_is_joined_when_it_is_recorded_and_a_broken_off_signal_is_an_error(graph):
     bag = graph.folder / "bag"
-    graph.by_the_clock = True
-    graph.start("plant")
-    graph.start("ground_motion", record="white_noise", duration=1000.0, autostart=False)
+    graph.by_the_clock, rig = True, graph.slow_rig()
+    graph.start("plant", rig=rig, command_timeout=1.0, late_limit=1000)
+    graph.start("ground_motion", rig=rig, record="white_noise", duration=1000.0, autostart=False)
     options = {"plant": False, "signals": ["ground_motion"], "free_decay": 0.6}
     graph.start("supervisor", inputs=["ground_motion=ground_motion"], **options)
     graph.start("logger", output=str(bag))

@@ -26,8 +26,10 @@ SHAKER = """
 import gc, sys, threading, time
 from std_msgs.msg import Int64
 from std_srvs.srv import Trigger
-from abrace_core.node import AbraceLifecycleNode, Parameter, run
-from abrace_core.node.conventions import STREAM_QOS
+from abrace_node.lifecycle import AbraceLifecycleNode
+from abrace_node.parameters import Parameter
+from abrace_node.process import run
+from abrace_node.transport import STREAM_QOS
 
 class Shaker(AbraceLifecycleNode):
     ticks = heard = ramp = 0
@@ -166,7 +168,8 @@ def test_a_node_that_an_error_ends_comes_to_rest_before(graph, shaker, where):
         graph.call(SetParameters, "shaker/set_parameters", SetParameters.Request(parameters=[level]))
     output = shaker.communicate(timeout=120)[0].splitlines()
     assert "closed at 0" in output, output
-    assert output[-1] == f"RuntimeError: a defect {where} the loop"
+    (line,) = [line for line in output if "defect" in line]
+    assert re.search(rf"FATAL.*: RuntimeError: a defect {where} the loop \(<string>, line \d+, in \w+\)$", line), output
     assert shaker.returncode == 1
 
 

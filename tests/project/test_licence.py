@@ -9,7 +9,7 @@ import pytest
 from source_tree import ROOT
 
 PATTERNS = (
-    "*.py", "*.sh", "*.bash", "*.c", "*.js", "*.css", "*.html", "*.xml", "*CMakeLists.txt", "Makefile", ".ci/*",
+    "*.py", "*.sh", "*.bash", "*.c", "*.h", "*.js", "*.css", "*.html", "*.xml", "*CMakeLists.txt", "Makefile", ".ci/*",
     "src/*/scripts/*",
 )  # fmt: skip
 NOT_OURS = re.compile(r".*/uPlot\..*")
@@ -27,7 +27,7 @@ def test_every_source_file_names_the_licence():
     texts = {name: (ROOT / name).read_text(encoding="utf-8") for name in names if (ROOT / name).exists()}
     assert len(texts) > 400
     kinds = {Path(name).suffix or Path(name).name for name in texts}
-    assert {".js", ".css", ".html", ".xml", "run", "make_keystore", "Makefile"} <= kinds
+    assert {".js", ".css", ".html", ".xml", "run", "Makefile"} <= kinds
     assert "Apache License" in (ROOT / "LICENSE").read_text(encoding="utf-8")
     without = [name for name, text in texts.items() if text.strip() and LINE not in "".join(text.splitlines(True)[:3])]
     assert not without, f"{without}: expected '# {LINE}', as a comment, in the first lines"

@@ -9,7 +9,7 @@ ROOT = Path(__file__).parents[2]
 BUILT = [".venv/bin/python", ".sourced/.made", "ros2_ws/build/x", "ros2_ws/install/.built", "ros2_ws/log/x"]
 MADE = [
     "results/my_day/summary.json",
-    "results/demo/report.md",
+    "results/demo/report.html",
     "bags/first/first.mcap",
     "my_rig.yaml",
     "src/my_law/my_law.py",

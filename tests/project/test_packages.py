@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """package.xml names what the package imports, and what its tests import, and nothing else."""
 
+import glob
 import re
 import subprocess
 import sys
+import tomllib
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import pytest
-from source_tree import FLOORS, LAUNCH_FILES, ROOT, Module, modules_of, reached, read_module, ring
+from source_tree import FLOORS, ROOT, Module, modules_of, reached_by_launch, read_module, ring
+
+import abrace_core
 
 KEYS = {
     "numpy": "python3-numpy",
@@ -30,7 +35,6 @@ FROM_PIP = {
     "zstandard",
     "lz4",
     "plotly",
-    "pymodbus",
     "threadpoolctl",
     "rosbags",
     "foxglove",
@@ -41,6 +45,7 @@ FROM_PIP = {
     "control",
     "ctrlsys",
     "eqsig",
+    "fmpy",
     "skrf",
     "mcap_ros2",
     "Pynite",
@@ -86,11 +91,10 @@ def test_what_is_imported_is_declared_and_nothing_else(package):
 
 def test_launch_files_import_nothing_that_only_our_environment_has():
     """`ros2 launch` runs them with the Python that ROS 2 is for, which sees what apt installs and not .venv."""
-    names = reached(LAUNCH_FILES)
     code = f"""
 import importlib, sys
 sys.modules.update(dict.fromkeys({sorted(FROM_PIP)}))
-for name in {sorted(names)}:
+for name in {sorted(reached_by_launch())}:
     try:
         importlib.import_module(name)
     except ImportError as error:
@@ -126,17 +130,12 @@ def required(*files: str) -> set[str]:
     return {re.split("[^A-Za-z0-9._-]", line)[0] for line in lines if line}
 
 
-@pytest.mark.parametrize("name", sorted(FROM_PIP))
-def test_what_apt_does_not_have_is_installed_by_pip_and_the_page_says_so(name):
-    listed = NAMES_OF_PIP.get(name, name)
-    assert listed in required("run", "develop", "numpy2")
-    *_, rosdep = (ROOT / "docs/dependencies.md").read_text().partition("## rosdep")
-    assert re.search(rf"`{re.escape(listed)}`", rosdep), f"docs/dependencies.md, rosdep: {listed}"
+def test_what_apt_does_not_have_is_installed_by_pip():
+    assert {NAMES_OF_PIP.get(name, name) for name in FROM_PIP} <= required("run", "develop", "numpy2")
 
 
-@pytest.mark.parametrize("name", sorted(set(KEYS) - {"yaml"} | {"PyYAML"}))
-def test_what_apt_has_is_in_our_environment_too(name):
-    assert name in required("run", "develop")
+def test_what_apt_has_is_in_our_environment_too():
+    assert set(KEYS) - {"yaml"} | {"PyYAML"} <= required("run", "develop")
 
 
 @pytest.mark.parametrize("files", [("run", "build"), ("run", "build", "develop")], ids=", ".join)
@@ -152,3 +151,40 @@ def test_versions_are_locked_with_a_sourced_ros_2_as_without(files):
     assert required(*files) <= locked | required("system")
     assert not locked & required("system")
     assert not required("system", *files) & required("numpy2")
+
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+WITHOUT_ROS = [package for package in FLOORS if not package.endswith("_bringup")]
+"""Packages that `pip install .` installs: those but the launch files and the page."""
+
+
+def test_pip_installs_every_package_that_needs_no_ros_with_its_files():
+    tools = PROJECT["tool"]["setuptools"]
+    assert set(tools["packages"]["find"]["where"]) == {f"src/{package}" for package in WITHOUT_ROS}
+    places = {str(Path(path).parent) for path in glob.glob("src/*/**/*.yaml", root_dir=ROOT, recursive=True)}  # noqa: PTH207
+    installed = {Path(path).parent.as_posix() for (path,) in tools["data-files"].values()}
+    assert installed == {place for place in places if place.split("/")[1] in WITHOUT_ROS}
+    for share, (path,) in tools["data-files"].items():
+        assert share == f"share/{Path(path).parent.relative_to('src').as_posix()}"
+    for name, (path,) in tools["package-data"].items():
+        assert list((ROOT / "src" / name.split(".")[0] / name.replace(".", "/")).glob(path))
+
+
+@pytest.mark.parametrize("package", [*FLOORS, "abrace_interfaces"])
+def test_every_package_says_what_it_is_and_has_licence_and_changes(package):
+    folder = ROOT / "src" / package
+    description = ElementTree.parse(folder / "package.xml").findtext("description")
+    assert (folder / "README.md").read_text().startswith(f"# {package}\n\n{description}\n")
+    for name in ("LICENSE", "CHANGELOG.md"):
+        assert (folder / name).read_bytes() == (ROOT / name).read_bytes()
+
+
+def test_every_package_has_the_version_of_abrace():
+    versions = {}
+    for package in {*FLOORS, "abrace_interfaces"}:
+        tree = ElementTree.parse(ROOT / "src" / package / "package.xml")
+        versions[package] = tree.findtext("version")
+        if package != "abrace_interfaces":
+            setup = (ROOT / "src" / package / "setup.py").read_text()
+            versions[f"{package}/setup.py"] = re.findall(r'version="(.*)"', setup)[0]
+    assert set(versions.values()) == {abrace_core.__version__}, versions

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.discretization import discretize
-from abrace_core.linear_model import LinearModel, pole_table
-from abrace_core.simulation import simulate
+from abrace_core.model.discretization import discretize
+from abrace_core.model.linear_model import LinearModel, pole_table
+from abrace_core.model.simulation import simulate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -58,7 +58,7 @@ class AmbientStructure:
         # in absolute acceleration the force acts at once
         continuous = LinearModel(model.a, on_state, model.c[wanted], forces, inputs, self.channels)
         self.model = discretize(continuous, 1 / RATE)
-        self.poles = [pair for pair in pole_table(model.poles()) if pair[1] < 1]
+        self.poles = [pair for pair in pole_table(model.poles) if pair[1] < 1]
 
     def record(self, seconds: float, seed: int) -> NDArray[np.float64]:
         """(samples, floors) accelerations [m/s^2]."""

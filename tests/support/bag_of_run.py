@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_bags import BagWriter, message_definition
-from abrace_core.wire import LOCKSTEP, Head, Responses
+from abrace_core.safety.wire import LOCKSTEP, Head, Responses
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from abrace_core.run import Run
+    from abrace_core.model.run import Run
 
 
 def write_bag(run: Run, path: Path | str) -> None:
@@ -21,11 +21,14 @@ def write_bag(run: Run, path: Path | str) -> None:
     definition = message_definition("abrace_interfaces/msg/Response")
     packed, step = Responses(), round(run.sample_period * 1e9)
     x, xf, a, f = np.split(run.outputs, np.cumsum([run.floors, run.groups, run.floors]), axis=1)
-    f = np.repeat(f, run.braces, axis=1) if run.forces is None else run.forces
-    with BagWriter(path, run.facts) as bag:
+    braces = run.braces or (1,) * run.groups
+    f = np.repeat(f, braces, axis=1) if run.forces is None else run.forces
+    with BagWriter(path, {name: text for name, text in run.facts.items() if name != "stopped"}) as bag:
         topic = bag.add_topic("/response", definition.type_name, definition.text, definition.type_hash)
         rows = zip(x.tolist(), a.tolist(), xf.tolist(), f.tolist(), run.command.tolist(), strict=True)
-        for k, arrays in enumerate(rows):
-            head = Head(k, 1, 0 if run.clipped is None else int(run.clipped[k]), LOCKSTEP, 0)
-            payload = packed.pack(step * k, head, "", run.braces, *arrays, float(run.ground_acceleration[k]))
-            bag.write(topic, payload, step * k, step * k)
+        for k, (number, arrays) in enumerate(zip(run.sequence.tolist(), rows, strict=True)):
+            head = Head(number, 1, 0 if run.clipped is None else int(run.clipped[k]), LOCKSTEP, 0)
+            cause = run.stopped if k == len(run.sequence) - 1 else ""
+            table = float(run.ground_acceleration[k]), 0.0
+            payload = packed.pack(step * number, head, cause, braces, *arrays, *table)
+            bag.write(topic, payload, step * number, step * number)

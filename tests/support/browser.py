@@ -36,9 +36,9 @@ class Opened:
 
     @property
     def drawn(self) -> dict[str, int]:
-        """Number of curves, bars and marks in each figure, by the name of its element."""
+        """Number of curves, points and images in each figure, by the name of its element."""
         places = re.split(r'<div data-figure="', self.content)[1:]
-        marks = r'<path class="(?:js-line|js-fill|point)|<g class="(?:points|lines|fills)'
+        marks = r'<path class="(?:js-line|point)|<img '
         return {place.partition('"')[0]: len(re.findall(marks, place)) for place in places}
 
 

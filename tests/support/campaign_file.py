@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

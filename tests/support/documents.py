@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import textwrap
 from functools import cache
@@ -16,6 +17,13 @@ GENERATED = [path.stem.removeprefix("write_") for path in sorted((ROOT / "docs")
 """Pages made from the code, by docs/write_NAME.py."""
 HEADS = ("abrace", "ros2", "make", "python", "source")
 """First words of commands that are checked."""
+
+
+@cache
+def sources() -> dict[Path, ast.Module]:
+    """The modules of all packages, parsed."""
+    paths = sorted((ROOT / "src").glob("abrace*/abrace*/**/*.py"))
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in paths}
 
 
 class Block(NamedTuple):

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 PATIENCE = 60.0
 LARGEST = 2**26
-KEYS = {"Escape": 27, " ": 32, "Enter": 13}
+KEYS = {"Escape": (27, ""), " ": (32, " "), "Enter": (13, "\r")}
+"""Code and text of the keys that can be pressed."""
 
 
 class DrivenBrowser:
@@ -201,9 +202,9 @@ class Tab:
 
     def press(self, key: str) -> None:
         """Press a key of KEYS."""
-        code = {"key": key, "windowsVirtualKeyCode": KEYS[key], "text": key if key == " " else ""}
-        self.command("Input.dispatchKeyEvent", type="keyDown", **code)
-        self.command("Input.dispatchKeyEvent", type="keyUp", key=key, windowsVirtualKeyCode=KEYS[key])
+        code, text = KEYS[key]
+        self.command("Input.dispatchKeyEvent", type="keyDown", key=key, windowsVirtualKeyCode=code, text=text)
+        self.command("Input.dispatchKeyEvent", type="keyUp", key=key, windowsVirtualKeyCode=code)
 
     def screenshot(self, path: Path) -> None:
         """A screenshot, as PNG."""

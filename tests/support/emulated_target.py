@@ -29,7 +29,12 @@ class EmulatedTarget:
         SCHED_FIFO priority of its loop.
     """
 
-    def __init__(self, device: Path, rig: Path = CONFIG / "ncree_three_storey.yaml", priority: int = 50) -> None:
+    def __init__(
+        self,
+        device: Path,
+        rig: Path = CONFIG / "ncree_three_storey.yaml",
+        priority: int = 50,
+    ) -> None:
         (self._port,) = free_ports(1)
         self.command: list[str | Path] = [
             find_executable("abrace_plant", "emulator"),

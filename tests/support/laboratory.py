@@ -6,28 +6,40 @@ Used by the tests of identification and by `make verify`, which need many record
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from abrace_core.multisine import repeated_multisine
-from abrace_core.noise import banded_noise
-from abrace_core.run import Run
-from abrace_core.simulation import simulate, simulate_closed_loop
+from abrace_core.model.multisine import repeated_multisine
+from abrace_core.model.noise import banded_noise
+from abrace_core.model.run import Run
+from abrace_core.model.simulation import simulate, simulate_closed_loop
 from abrace_plant.rig.effects import effects
+from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.motion import RigMotion
 from abrace_plant.rig.sensors import Measurement
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from abrace_core.linear_model import LinearModel
+    from abrace_core.model.linear_model import LinearModel
     from abrace_plant.rig.model import Rig
 
 Array = NDArray[np.float64]
+PAPER_RIG = Path(__file__).parents[2] / "src/abrace_plant/config/ncree_three_storey.yaml"
 SILENCE = 1000
 """Samples at rest before and after the noise of a test."""
+
+
+def paper_tests(seconds: float, seed: int) -> tuple[Run, Run]:
+    """A test of the table and one of the braces of the paper's rig, white noise of so many `seconds`."""
+    rig = load_rig(PAPER_RIG)
+    laboratory, facts = Laboratory(rig, seed), {"rig": rig.name, "capacity": json.dumps(rig.capacity.tolist())}
+    return replace(laboratory.table_test(seconds), facts=facts), replace(laboratory.command_test(seconds), facts=facts)
 
 
 class Laboratory:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The offsets of the chunks of an MCAP file, as `mcap` reads them from the summary section."""
+"""The offsets of the chunks of an MCAP file, as `mcap` reads them from the summary section; a file without its end."""
 
 from __future__ import annotations
 
@@ -24,3 +24,9 @@ def chunk_indexes(path: Path) -> list[ChunkIndex]:
 def chunk_offsets(path: Path) -> list[int]:
     """The offsets of the chunks of a file."""
     return [index.chunk_start_offset for index in chunk_indexes(path)]
+
+
+def without_end(content: bytes) -> bytes:
+    """The content of a file that `BagWriter` wrote, up to its last chunk: as if it had been killed there."""
+    name = b"abrace_topics"
+    return content[: content.rindex(name, 0, content.rindex(name)) - 13]

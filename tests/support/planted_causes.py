@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from simulated_loop import RUN, active_safety, loop_of
 
 from abrace_core.safety.table_guard import TableGuard
-from abrace_plant.devices.simulated import SimulatedRig, sensor_faults
+from abrace_plant.devices.simulated import SimulatedRig
 from abrace_plant.rig.interlocks import NUMBER
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from abrace_core.safety.rig_safety import RigSafety
-    from abrace_plant.devices.device import Reading
+    from abrace_plant.devices.device import Reading, Wanted
     from abrace_plant.live.loop import RigLoop, Sample
     from abrace_plant.rig.actuator import Actuator
     from abrace_plant.rig.model import Rig
@@ -173,7 +173,7 @@ PLANTED = {
     ),
     "force_error": Planted(
         "the hydraulic supply fails, the valves give hardly any flow",
-        "force fa against its command: ",
+        "force f",
         force=_sine(8e3, math.pi),
         built=_with_actuators(flow_limit=1e3),
     ),
@@ -184,7 +184,7 @@ PLANTED = {
     ),
     "table_displacement": Planted(
         "the commanded motion never turns back",
-        "displacement of the table when it is stopped: ",
+        "place where the table would stop: ",
         table=lambda time: 0.2 * min(time, 1.0),
     ),
     "table_velocity": Planted(
@@ -234,14 +234,21 @@ class _FailingRig(SimulatedRig):
 
     def __init__(self, rig: Rig, planted: Planted) -> None:
         super().__init__(planted.built(rig) if planted.built else rig, seed=1, by_the_clock=False)
-        self.set_sensor_faults(sensor_faults([f"{planted.fault}@{START}"] if planted.fault else [], rig))
-        self._tamper, self._from, self._number = planted.tamper, round(START * rig.sample_rate), -1
+        self._planted, self._number = planted, -1
+        self._begins = round(START * rig.sample_rate)
 
-    def exchange(self, command: Sequence[float], table: float) -> Reading:
-        reading = super().exchange(command, table)
-        self._number += 1
-        if self._tamper and self._number >= self._from:
-            self._tamper(reading.values, self._number)
+    def begin(self) -> None:
+        """Let the cause begin START from now on."""
+        fault = self._planted.fault
+        self.set_sensor_faults([f"{fault}@{START + self._samples * self._period}"] if fault else [])
+        self._number = 0
+
+    def exchange(self, command: Sequence[float], table: float, wanted: Wanted, arm: int) -> Reading:
+        reading = super().exchange(command, table, wanted, arm)
+        if self._number >= 0:
+            self._number += 1
+            if self._planted.tamper and self._number > self._begins:
+                self._planted.tamper(reading.values, self._number)
         return reading
 
 
@@ -253,7 +260,7 @@ class Ran(NamedTuple):
     loop, safety
         At its end.
     samples
-        All of it.
+        All since commands acted.
     table
         (samples,) velocity of the table [m/s].
     trip
@@ -271,19 +278,23 @@ def run_planted(rig: Rig, planted: Planted, seconds_after: float = 0.0) -> Ran:
     """Run a `rig` until it trips, for PATIENCE at most, and go on driving it for `seconds_after` as if nothing was."""
     rig = planted.limited(rig)
     safety = active_safety(rig)
-    loop = loop_of(rig, _FailingRig(rig, planted), safety)
+    device = _FailingRig(rig, planted)
+    loop = loop_of(rig, device, safety)
     table = safety.outputs[1]
     assert isinstance(table, TableGuard)
     samples: list[Sample] = []
     velocities: list[float] = []
     trip, end = -1, round(PATIENCE * rig.sample_rate)
-    while loop.sequence < end:
+    loop.until_it_acts()
+    device.begin()
+    while len(samples) <= end:
         sample = loop.step()
         samples.append(sample)
         velocities.append(table.state.velocity)
         if sample.cause and trip < 0:
-            trip, end = loop.sequence, loop.sequence + round(seconds_after * rig.sample_rate)
-        time = loop.sequence / rig.sample_rate
+            trip = len(samples) - 1
+            end = trip + round(seconds_after * rig.sample_rate)
+        time = (len(samples) - 1) / rig.sample_rate
         loop.receive_command(RUN, loop.sequence, [planted.force(time)] * rig.groups, "")
         loop.receive_ground_acceleration(sample.stamp, planted.table(time))
     return Ran(loop, safety, samples, velocities, trip)

@@ -5,10 +5,8 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from pathlib import Path
+from abrace_bringup.policy import policy
 
 KINDS = {
     "topics": ("topic", ("publish", "subscribe")),
@@ -18,21 +16,18 @@ KINDS = {
 """Lists of a profile: what is in them, and what may be allowed."""
 
 
-def read_policy(path: Path, namespace: str = "/rig") -> dict[str, list[tuple[str, str]]]:
-    """The permissions of each enclave, by its path: (`publish`, full name or pattern), and so on.
+def permissions(namespace: str = "/rig") -> dict[str, list[tuple[str, str]]]:
+    """The permissions of abrace's own policy for nodes in a `namespace`, as `read_policy`."""
+    return read_policy(policy(namespace))
 
-    Parameters
-    ----------
-    path
-        The policy.
-    namespace
-        The namespace that replaces /rig.
-    """
+
+def read_policy(content: bytes) -> dict[str, list[tuple[str, str]]]:
+    """The permissions of each enclave in a policy, by its path: (`publish`, full name or pattern), and so on."""
     allowed: dict[str, list[tuple[str, str]]] = {}
-    for enclave in ElementTree.parse(path).iterfind("enclaves/enclave"):
+    for enclave in ElementTree.fromstring(content).iterfind("enclaves/enclave"):
         rules = allowed.setdefault(enclave.attrib["path"], [])
         for profile in enclave.iterfind("profiles/profile"):
-            begin = profile.attrib["ns"].replace("/rig", namespace).rstrip("/")
+            begin = profile.attrib["ns"].rstrip("/")
             own = f"{begin}/{profile.attrib['node']}"
             for entries in profile:
                 for entry in entries:

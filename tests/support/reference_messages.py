@@ -26,7 +26,7 @@ def response_message(sequence: int, values: NDArray[Any], seconds: int, nanoseco
     """A response of the three-storey rig with ten values."""
     header = TYPES["std_msgs/msg/Header"](TYPES["builtin_interfaces/msg/Time"](seconds, nanoseconds), "table")
     channels = (values[:3], values[3:6], values[6:7], values[7:8], values[8:9])
-    return TYPES[RESPONSE](header, sequence, 1, 0, 0, 3, np.array([1], dtype=np.uint8), *channels, values[9], "")
+    return TYPES[RESPONSE](header, sequence, 1, 0, 0, 3, np.array([1], dtype=np.uint8), *channels, values[9], 0.0, "")
 
 
 def serialised(message: Any, type_name: str = RESPONSE) -> bytes:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -29,8 +30,9 @@ from std_srvs.srv import Trigger
 
 from abrace.processes.group import NodeProcess, ProcessGroup, find_executable
 from abrace.processes.parameter_file import parameter_file
-from abrace_core.node.transport import profile
+from abrace_core.files.installed import find_file
 from abrace_interfaces.msg import BraceCommand, Response
+from abrace_node.transport import profile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -41,17 +43,11 @@ if TYPE_CHECKING:
     from rclpy.task import Future
 
 PATIENCE = 60.0
-PATIENCE_AFTER_HOLD_UP = 10.0
-"""Seconds to wait after a node reports one of HELD_UP: in most cases the awaited event does not come any more."""
-HELD_UP = (
-    "samples missed before sample",
-    "samples lost before sample",
-    "samples in a row were taken late",
-    "no brace_command for",
-    "no ground_motion for",
-    "no response for more than",
-)
-"""What nodes say by the clock of a machine that stood still for longer than their time-out."""
+PATIENT = {
+    "plant": {"command_timeout": 10.0, "late_limit": 1000, "lockstep_timeout": PATIENCE},
+    "sensor_bridge": {"command_timeout": 0.1, "late_limit": 100},
+}
+"""Long time limits of a rig: a machine that stands still for a moment is no fault."""
 PACKAGES = {
     "plant": "abrace_plant",
     "sensor_bridge": "abrace_plant",
@@ -63,8 +59,16 @@ PACKAGES = {
     "supervisor": "abrace",
     "viewer": "abrace_bringup",
     "operator": "abrace_bringup",
-    "jitter": "abrace_plant",
 }
+COMMANDS = {"ground_motion": "ground_motion", "excitation": "brace_command", "controller": "brace_command"}
+"""The topic on which each of these nodes commands a rig."""
+SLOW = 100.0
+"""Samples a second that a busy machine keeps up with."""
+SIGNALS = ("excitation", "ground_motion")
+"""Nodes whose signal begins by a goal."""
+RIGS = ("plant", "sensor_bridge")
+STALLS = ("no response for more than ", "samples lost before sample ")
+"""In the fault of who commands a rig by the clock on a computer that stands still for a moment."""
 STREAMING = ("plant", "sensor_bridge", "ground_motion", "excitation", "controller")
 TRANSITIONS = {
     "configure": Transition.TRANSITION_CONFIGURE,
@@ -111,7 +115,7 @@ class Graph:
         self.executables: set[str] = set()
         """Of all nodes that have been started."""
         self.by_the_clock = False
-        """Whether nodes that stream get a real-time priority, if allowed: other tests keep the machine busy."""
+        """Whether time is the subject: rigs have their default time limits, and who streams a real-time priority."""
         self.may_end: set[str] = set()
         """Names of nodes that may end while we wait."""
         self._clients: dict[str, Client] = {}
@@ -125,6 +129,13 @@ class Graph:
             if f"/{namespace}" == self.namespace:
                 self.statuses[name] = status
 
+    def slow_rig(self) -> str:
+        """A file of the paper's rig with SLOW samples a second, for tests by the clock of which speed is no subject."""
+        file = self.folder / "slow.yaml"
+        text = find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig").read_text()
+        file.write_text(re.sub(r"(?m)^sample_rate:.*$", f"sample_rate: {SLOW}", text))
+        return str(file)
+
     def start(
         self,
         executable: str,
@@ -135,8 +146,10 @@ class Graph:
         """Start a node with parameters and further ROS arguments; `name`: the executable's by default."""
         name = name or executable
         self.executables.add(executable)
-        if self.by_the_clock and executable in STREAMING:
-            parameters = {"thread_priority": 50, **parameters}
+        if executable in STREAMING:
+            timing = {"thread_priority": 50} if self.by_the_clock else PATIENT.get(executable, {})
+            button = {"stop_heartbeat": 600.0} if executable == "sensor_bridge" else {}  # no test has a button for long
+            parameters = {**timing, **button, **parameters}
         command: list[str | Path] = [find_executable(PACKAGES[executable], executable)]
         command += ["--ros-args", "-r", f"__ns:={self.namespace}"]
         if name != executable:
@@ -150,6 +163,8 @@ class Graph:
             self._client(ChangeState, f"{name}/change_state")
             self._client(GetState, f"{name}/get_state")
             self._client(Trigger, f"{name}/clear_fault")
+        if executable in SIGNALS:
+            self._client(Trigger, f"{name}/play")
         return process
 
     def _client(self, service_type: type, service: str) -> Client:
@@ -160,21 +175,15 @@ class Graph:
 
     def until(self, holds: Callable[[], Any], what: str, patience: float = PATIENCE) -> Any:
         """Spin until `holds()`; fail when it does not within `patience`, or when a node has died."""
-        began, held_up = time.monotonic(), False
+        began = time.monotonic()
         while not (answer := holds()):
             waited = time.monotonic() - began
-            if not held_up and self._is_held_up():
-                held_up, patience = True, min(patience, waited + PATIENCE_AFTER_HOLD_UP)
             assert waited < patience, f"waited {waited:.0f} s for {what}; {self.reported()}"
             self.executor.spin_once(timeout_sec=0.02)
             for process in self.started.values():
                 if process.returncode is not None and process.name not in self.may_end:
                     raise process.died()
         return answer
-
-    def _is_held_up(self) -> bool:
-        """Whether a node reports one of HELD_UP."""
-        return any(words in one.message for one in self.statuses.values() for words in HELD_UP)
 
     def reported(self) -> str:
         """The diagnostics of each node, and the exit codes and output of those that have ended."""
@@ -184,11 +193,11 @@ class Graph:
             [*said, *(f"{name} ended with {code}: {self.output_of(name)[-3:]}" for name, code in ended.items())]
         )
 
-    def ended(self, name: str) -> int:
+    def ended(self, name: str, patience: float = PATIENCE) -> int:
         """Wait for the end of a node; returns its exit code."""
         self.may_end.add(name)
         process = self.started[name]
-        self.until(lambda: process.returncode is not None, f"{name} to end")
+        self.until(lambda: process.returncode is not None, f"{name} to end", patience)
         assert process.returncode is not None
         return process.returncode
 
@@ -243,6 +252,22 @@ class Graph:
             ) and all(any(f"{side} of {topic}" in values for side in ("publishers", "subscribers")) for topic in counts)
 
         self.until(matched, f"{name} to match {counts}")
+
+    def run_to_the_end(self) -> None:
+        """Begin the test of `plant`, which is unconfigured, once all are matched; at its end stop the others."""
+        others = [name for name in self.started if name != "plant"]
+        inputs = [COMMANDS[name] for name in others if name in COMMANDS]
+        assert self.change_state("plant", "configure")
+        self.until_matched("plant", response=len(others), **dict.fromkeys(inputs, 1))
+        for name in others:
+            own = {COMMANDS[name]: 1 + ("logger" in others)} if name in COMMANDS else dict.fromkeys(inputs, 1)
+            self.until_matched(name, response=1, **own)
+        self.may_end.add("plant")
+        assert self.change_state("plant", "activate")
+        self.play(*(name for name in others if name in SIGNALS))
+        assert self.ended("plant") == 0, self.output_of("plant")
+        for name in others:
+            assert self.stop(name) == 0, self.output_of(name)
 
     def until_fault(self, name: str, reason: str) -> None:
         """Wait until a node reports a fault with these words, at level ERROR."""
@@ -309,9 +334,40 @@ class Graph:
         asked = time.monotonic()
         return str(self.until(answered, f"the state of {name}").result().current_state.label)
 
+    def play(self, *names: str) -> None:
+        """Have the signals of these nodes play, each as soon as it is accepted: when the rig is running."""
+        asked: dict[str, Future] = {}
+
+        def play() -> bool:
+            for name in names:
+                answer = asked.get(name)
+                if answer is None or (answer.done() and not answer.result().success):
+                    self._clear_stall()
+                    asked[name] = self.ask(Trigger, f"{name}/play", Trigger.Request())
+            return all(answer.done() and answer.result().success for answer in asked.values())
+
+        self.until(play, f"{names} to play")
+
+    def _clear_stall(self) -> None:
+        """Clear, as a person does, who has stopped since this computer stood still; the rig after its commanders."""
+        running = [name for name, process in self.started.items() if process.returncode is None]
+        said = {name: self.statuses[name].message for name in running if name in self.statuses}
+        stalled = [name for name, message in said.items() if any(text in message for text in STALLS)]
+        for name in sorted(stalled, key=lambda name: name in RIGS):
+            self.clear_fault(name)
+
     def clear_fault(self, name: str) -> Trigger.Response:
         """Call a node's clear_fault."""
         return self.call(Trigger, f"{name}/clear_fault", Trigger.Request())
+
+    def clear_any_fault(self, name: str) -> None:
+        """Clear the fault of a rig, if it has one, as a person does: again until rest has been measured."""
+
+        def cleared() -> bool:
+            answer = self.clear_fault(name)
+            return answer.success or answer.message.startswith("no fault")
+
+        self.until(cleared, f"{name} to be cleared")
 
     def emergency_stop(self) -> Callable[[bool], None]:
         """A stop button: a transient local publisher of emergency_stop, matched with the plant."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a campaign in lockstep leaves, byte for byte, but for what the clock or a process's number is in.
 
-Left out, and why: timing.json, origin.json, the timing in summary.json, report.md and report.html (seconds, times, and
+Left out, and why: timing.json, origin.json, the timing in summary.json and report.html (seconds, times, and
 checksums of files with such in them; what they show is in the other files); the nodes' output (seconds); steps.json
 (checksums of bags, which have diagnostics by the clock in them); of the nodes' parameters the processor that a node is
 given, by the campaign's process number; of samples and commands the number of the run, which is a time. Bags are in
@@ -15,12 +15,12 @@ import json
 import re
 from typing import TYPE_CHECKING
 
-from abrace_bags import read_topics
+from abrace_bags import Bag
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-BY_THE_CLOCK = ("timing.json", "steps.json", "origin.json", "report.md", "report.html")
+BY_THE_CLOCK = ("timing.json", "steps.json", "origin.json", "report.html")
 STREAMS = ("response", "brace_command", "ground_motion")
 
 
@@ -56,7 +56,7 @@ def _without_times(path: Path) -> bytes:
 
 def _streams(bag: Path, name: str) -> dict[str, str]:
     found = {}
-    for topic, arrays in read_topics(bag).items():
+    for topic, arrays in Bag(bag).arrays().items():
         if topic not in [f"/{name}/{stream}" for stream in STREAMS]:
             continue
         digest = hashlib.sha256(arrays.log_time.tobytes())

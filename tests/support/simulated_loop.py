@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated rig in lockstep, without ROS: a loop that is active and at rest."""
+"""The simulated rig in lockstep, without ROS: a loop in which commands act, at rest."""
 
 from __future__ import annotations
 

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from abrace_plant.devices.device import Wanted
 from abrace_plant.devices.layout import Packet, read_layout
 from abrace_plant.devices.udp import UdpDevice, load
 from abrace_plant.rig.file import load_rig
@@ -22,6 +23,8 @@ RIG = load_rig(CONFIG / "ncree_three_storey.yaml")
 LAYOUT = CONFIG / "device_parts/udp_layout.yaml"
 CHANNELS = ("x1", "x2", "x3", "xf", "a1", "a2", "a3", "fa", "fb", "w")
 PERIOD = round(1e9 / RIG.sample_rate)
+ARM, APPLIED, TABLE = 7, (1.5, -0.25), 0.125
+"""Of every sample: the arm number that the target has accepted, its outputs, and the table's displacement."""
 
 
 def free_ports(count: int) -> list[int]:
@@ -35,14 +38,19 @@ def free_ports(count: int) -> list[int]:
     return ports
 
 
-def device_file(folder: Path, timeout: float = 1.0, calibrated: bool = False, layout: Path = LAYOUT) -> Path:
-    """A device file in `folder` with free ports and abrace's own layout, or another."""
+def life_time_of(timeout: float) -> float:
+    """Seconds without commands after which the target of a `device_file` stops: longer than a machine is held up."""
+    return min(1.0, max(0.3, 3 * timeout))
+
+
+def device_file(folder: Path, timeout: float = 0.9, calibrated: bool = False, layout: Path = LAYOUT) -> Path:
+    """A device file in `folder` with free ports and abrace's own layout, or another; its target waits for us."""
     port, local_port = free_ports(2)
     path = folder / "device.yaml"
     calibration = f"calibration: {CONFIG}/device_parts/calibration.yaml\n" if calibrated else ""
     path.write_text(
         f"kind: udp\naddress: 127.0.0.1\nport: {port}\nlocal_address: 127.0.0.1\nlocal_port: {local_port}\n"
-        f"timeout: {timeout}\nlayout: {layout}\n{calibration}"
+        f"timeout: {timeout}\nlife_time: {life_time_of(timeout)}\nlayout: {layout}\n{calibration}"
     )
     return path
 
@@ -59,12 +67,16 @@ class UdpTarget:
         self.device = self.device_of(path)
         file = self.device.file
         layout = read_layout(path.parent / file.layout)
-        self.samples, self.commands = Packet(layout, "sample", CHANNELS), Packet(layout, "command", ("U", "w"))
+        self.table = [TABLE] * ("table_displacement" in [entry.field for entry in layout.sample])
+        named = (*CHANNELS, "applied_U", "applied_w", "table_displacement")
+        self.samples = Packet(layout, "sample", named if self.table else named[:-1])
+        self.commands = Packet(layout, "command", ("U", "w"))
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(file.sender)
         self.socket.settimeout(5.0)
         self.to = "127.0.0.1", file.local_port
         self.counter = self.sent = 1000
+        self.state, self.causes = 1, 0
 
     @staticmethod
     def device_of(path: Path) -> UdpDevice:
@@ -82,8 +94,14 @@ class UdpTarget:
 
     def sample(self, counter: int, values: list[float] | None = None, time: int | None = None) -> bytes:
         """A good packet, unless `values` or `time` [ns] are wrong."""
+        return self.encoded(counter, values_of(counter) if values is None else values, self.answered(), time)
+
+    def encoded(self, counter: int, values: list[float], applied_counter: int, time: int | None = None) -> bytes:
+        """A sample of a target that has applied that command last."""
         time = counter * PERIOD if time is None else time
-        return self.samples.encode(values_of(counter) if values is None else values, counter, time, self.answered())
+        return self.samples.encode(
+            [*values, *APPLIED, *self.table], counter, time, ARM, self.state, self.causes, applied_counter
+        )
 
     def answered(self) -> int:
         """Counter of the last received command; 0 before the first."""
@@ -132,7 +150,7 @@ class UdpTarget:
             opened.set()
             thread.join()
         self.opened = self.tick(), time.monotonic_ns()
-        self.device.exchange([0.0], 0.0)
+        self.device.exchange([0.0], 0.0, Wanted.FOLLOW, ARM)
 
 
 KINDS = ("random", "cut", "longer", "bit", "counter", "small_jump", "repeated", "old", "value")

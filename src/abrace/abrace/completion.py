@@ -10,6 +10,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from abrace.processes.group import executables, packages_with_nodes, prefixes
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     import argparse
@@ -39,9 +40,22 @@ def campaigns(prefix: str, **_: Any) -> list[str]:
     return _named(prefix, "share/abrace/campaigns")
 
 
+def steps(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
+    """The steps of the campaign in `parsed_args`."""
+    from abrace_core.files.config_file import read_mapping
+    from abrace_core.files.installed import find_file
+
+    try:
+        content = read_mapping(find_file(parsed_args.file, "abrace", "campaigns", ".yaml", "campaign"), "campaign")
+    except AbraceError:
+        return []
+    steps = content.get("steps")
+    return [str(step["name"]) for step in steps if "name" in step] if isinstance(steps, list) else []
+
+
 def benchmarks(prefix: str, **_: Any) -> list[str]:
     """Benchmarks and rigs by name, and files and folders that begin with `prefix`."""
-    return _named(prefix, "share/abrace/benchmarks", "share/abrace_plant/config")
+    return _named(prefix, "share/abrace_studies/benchmarks", "share/abrace_plant/config")
 
 
 def _named(prefix: str, *places: str) -> list[str]:

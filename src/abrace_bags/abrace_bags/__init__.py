@@ -2,53 +2,69 @@
 """Bags: MCAP files in rosbag2's layout, the record of a test.
 
 A bag is a directory that `ros2 bag`, `mcap` and `rosbags` read, with the run's facts in it. It is written message by
-message (`BagWriter`), and read back whole topics at a time as arrays (`read_topics`) or as a test of the rig
-(`read_run`), also when the process that wrote it was killed; `recover` makes a complete bag of such a one.
+message (`BagWriter`), and read (`Bag`) as serialised messages, as arrays, or as tests of the rig (`read_run`), also
+when the process that wrote it was killed; `recover` makes a complete bag of such a one, `trim` and `merge` make one of
+a part, and of several.
 """
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from abrace_core import public
 
 if TYPE_CHECKING:
+    from abrace_bags.bag import Bag, read_run, read_runs
+    from abrace_bags.copies import CopiedBag, merge, recover, trim
     from abrace_bags.definitions import MessageDefinition, message_definition
+    from abrace_bags.description import BagDescription, describe
+    from abrace_bags.export import write_csv, write_mat
+    from abrace_bags.mcap.attachments import file_attachments
     from abrace_bags.qos import DEFAULT_QOS, offered_qos
-    from abrace_bags.reader import BagContents, TopicArrays, read_facts, read_topics
-    from abrace_bags.recovery import Recovered, recover
-    from abrace_bags.run import read_run, read_runs
+    from abrace_bags.raw import RawMessage, RawMessages
+    from abrace_bags.reader import TopicArrays, TopicParts
+    from abrace_bags.topics import RecordedTopic
     from abrace_bags.writer import BagWriter
-
-_MODULES = {
-    "bag": ("read_facts",),
-    "definitions": ("MessageDefinition", "message_definition"),
-    "qos": ("DEFAULT_QOS", "offered_qos"),
-    "reader": ("BagContents", "TopicArrays", "read_topics"),
-    "recovery": ("Recovered", "recover"),
-    "run": ("read_run", "read_runs"),
-    "writer": ("BagWriter",),
-}
-"""Where names are defined: a module is imported when one is used, as reading needs no writer."""
 
 __all__ = [
     "DEFAULT_QOS",
-    "BagContents",
+    "Bag",
+    "BagDescription",
     "BagWriter",
+    "CopiedBag",
     "MessageDefinition",
-    "Recovered",
+    "RawMessage",
+    "RawMessages",
+    "RecordedTopic",
     "TopicArrays",
+    "TopicParts",
+    "describe",
+    "file_attachments",
+    "merge",
     "message_definition",
     "offered_qos",
-    "read_facts",
     "read_run",
     "read_runs",
-    "read_topics",
     "recover",
+    "trim",
+    "write_csv",
+    "write_mat",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    for module, names in _MODULES.items():
-        if name in names:
-            return getattr(importlib.import_module(f"abrace_bags.{module}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__, __dir__ = public(
+    __name__,
+    {
+        "abrace_bags.bag": "Bag read_run read_runs",
+        "abrace_bags.copies": "CopiedBag merge recover trim",
+        "abrace_bags.definitions": "MessageDefinition message_definition",
+        "abrace_bags.description": "BagDescription describe",
+        "abrace_bags.export": "write_csv write_mat",
+        "abrace_bags.mcap.attachments": "file_attachments",
+        "abrace_bags.qos": "DEFAULT_QOS offered_qos",
+        "abrace_bags.raw": "RawMessage RawMessages",
+        "abrace_bags.reader": "TopicArrays TopicParts",
+        "abrace_bags.topics": "RecordedTopic",
+        "abrace_bags.writer": "BagWriter",
+    },
+)
+"""A module is imported when a name of it is used, as reading needs no writer."""

@@ -1,183 +1,348 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a bag, and their content other than messages."""
+"""A bag to be read: opened once, whole, cut off or damaged, in one file or several."""
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import yaml
-
-from abrace_bags.mcap.file_reader import McapFile, read_facts_record
-from abrace_bags.mcap.index import MessageFilter
-from abrace_core.errors import AbraceError
+from abrace_bags.bag_files import find_files, open_bag_file
+from abrace_bags.metadata import METADATA_FILE
+from abrace_bags.raw import RawMessages
+from abrace_bags.reader import read_arrays, sequence_ranges
+from abrace_bags.run import RESPONSE_TYPE, runs_of
+from abrace_bags.topics import RecordedTopic, Selection, is_end_of
+from abrace_core import AbraceError
+from abrace_core.files.suggestion import expected_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
-    from mcap.records import Attachment
+    from abrace_bags.mcap.attachments import StoredAttachment
+    from abrace_bags.mcap.bag_file import BagFile
+    from abrace_bags.reader import TopicArrays
+    from abrace_bags.sequence import NumberRanges
+    from abrace_core.model.run import Run
 
-    from abrace_bags.other_storage import OtherStorage
-    from abrace_core.sequence import NumberRanges
 
-METADATA_FILE = "metadata.yaml"
+COPY_RECORD = "abrace_copy"
+"""Name of the metadata record of a bag that was made of others: the `warnings` of these, one a line."""
 
 
-@dataclass(frozen=True)
-class OpenedBag:
-    """The files of a bag that can be read.
+class Bag:
+    """A bag to be read. One file that can't be read does not keep the others from being read.
+
+    Topics can be named by the end of their name, `response` for `/demo/response`, where only one topic has that end.
+    Times are log times [ns]; a part of a bag has its `begin`, and not its `end`; None: from the first message, to the
+    last.
 
     Parameters
     ----------
+    path
+        A bag directory, or a single MCAP or sqlite3 file.
+
+    Attributes
+    ----------
+    path
+        As given.
     files
-        In their order.
-    problems
-        What is wrong with the bag and its other files, one sentence each.
-    unreadable
-        Whether files can't be read.
-    """
-
-    files: list[McapFile | OtherStorage]
-    problems: list[str]
-    unreadable: bool
-
-    @property
-    def paths(self) -> list[Path]:
-        """Of the files."""
-        return [path for file in self.files for path in file.paths]
-
-    @property
-    def facts(self) -> dict[str, str]:
-        """The run's facts, of the first file that has them."""
-        return next((file.facts for file in self.files if file.facts is not None), {})
-
-    @property
-    def records(self) -> dict[str, dict[str, str]]:
-        """Metadata records: texts by key, by the record's name."""
-        return {name: texts for file in self.files for name, texts in file.metadata.items()}
-
-    @property
-    def attachments(self) -> list[Attachment]:
-        """Files of the run."""
-        return [attachment for file in self.files for attachment in file.attachments]
-
-    @property
-    def warnings(self) -> list[str]:
-        """What is missing or can't be trusted, one sentence each."""
-        return self.problems + [warning for file in self.files for warning in file.warnings]
-
-    @property
-    def uncounted(self) -> bool:
-        """Whether messages may be missing and the files do not say how many."""
-        return self.unreadable or any(file.uncounted for file in self.files)
-
-    def read_besides_messages(self) -> None:
-        """Read the topics, facts, records and attachments of files whose index does not name them all."""
-        for file in self.files:
-            if not file.indexed:
-                for _ in file.chunks(MessageFilter(lambda _: True)):
-                    pass
-
-
-def open_bag(bag: Path | str) -> OpenedBag:
-    """Open the files of a bag; one that can't be read does not keep the others from being read.
-
-    Parameters
-    ----------
-    bag
-        A bag directory or a single file: MCAP, or what else rosbag2 writes (sqlite3, compressed).
+        Those that can be read, in their order.
 
     Raises
     ------
     AbraceError
         If there is no such bag, or none of its files can be read.
     """
-    path = existing(bag)
-    if needs_rosbags(path):
-        from abrace_bags.other_storage import OtherStorage
 
-        return OpenedBag([OtherStorage(path)], [], unreadable=False)
-    names, problems = _named_files(path)
-    files: list[McapFile | OtherStorage] = []
-    unreadable = []
-    for one in names:
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self.files: list[BagFile] = []
+        self._warnings: dict[str, None] = {}
         try:
-            files.append(McapFile(one))
-        except AbraceError as error:
-            unreadable.append(str(error))
-    if not files:
-        raise AbraceError("; ".join(unreadable))
-    problems += [f"{reason}; nothing is read of it" for reason in unreadable]
-    return OpenedBag(files, problems, bool(unreadable))
+            exists = self.path.exists()
+        except OSError as error:
+            raise AbraceError(f"{path}: {error.strerror}") from error
+        if not exists:
+            raise AbraceError(f"{path}: no such bag, expected a bag directory or an MCAP file")
+        paths, problems, self._counted = find_files(self.path)
+        unreadable = []
+        for one in paths:
+            try:
+                self.files.append(open_bag_file(one))
+            except AbraceError as error:
+                unreadable.append(str(error))
+        if not self.files:
+            raise AbraceError("; ".join(unreadable))
+        self._unreadable = bool(unreadable)
+        self._warn([*problems, *(f"{reason}; nothing is read of it" for reason in unreadable)])
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is missing or can't be trusted, as far as the bag was read until now; one sentence each."""
+        self._warn(())
+        return tuple(self._warnings)
 
-def read_facts(bag: Path | str) -> dict[str, str]:
-    """The facts of the run in a `bag`: rig, controller, record, versions. Empty where it has none.
+    @cached_property
+    def topics(self) -> dict[str, RecordedTopic]:
+        """By name."""
+        everything = Selection()
+        for file in self.files:
+            file.know()
+            for channel in file.channels.values():
+                everything.accepts(channel)
+        others = {name: topic for name, (topic, _) in everything.left_out.items()}
+        return dict(sorted((others | everything.topics).items()))
 
-    Raises
-    ------
-    AbraceError
-        If there is no such bag, it isn't one, or its facts are damaged.
-    """
-    path = existing(bag)
-    if needs_rosbags(path):
-        return open_bag(path).facts
-    damaged = []
-    for file in bag_files(path):
+    @cached_property
+    def facts(self) -> dict[str, str]:
+        """The run's facts (rig, controller, record, versions), of the first file that has them; empty without."""
+        for file in self.files:
+            file.know()
+            if file.facts is not None:
+                return file.facts
+        return {}
+
+    @cached_property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Metadata records: texts by key, by the record's name."""
+        for file in self.files:
+            file.know()
+        return {name: texts for file in self.files for name, texts in file.metadata.items()}
+
+    @property
+    def attachments(self) -> list[StoredAttachment]:
+        """Files of the run."""
+        for file in self.files:
+            file.know()
+        return [attachment for file in self.files for attachment in file.attachments]
+
+    @property
+    def uncounted(self) -> bool:
+        """Whether messages may be missing and the files do not say how many."""
+        return self._unreadable or any(file.uncounted for file in self.files)
+
+    def raw(self, topics: Collection[str] = (), begin: int | None = None, end: int | None = None) -> RawMessages:
+        """Find serialised messages, which are then read chunk by chunk, as often as they are asked for.
+
+        Parameters
+        ----------
+        topics
+            Their names; all when empty. Messages of other types than their topic's first are left out with a warning.
+        begin, end
+            Log times [ns].
+
+        Raises
+        ------
+        AbraceError
+            If a name is not in the bag, or matches several topics, or all messages of one asked for are left out.
+        """
+        selection = Selection(topics, begin, end)
+        found = RawMessages(self.files, selection)
+        self._check(selection)
+        self._compare(selection, {name: one.messages for name, one in found.contents.items()})
+        warnings = list(self.warnings)
+        if found.set_back:
+            warnings.append(
+                f"{self.path}: the clock was set back during the recording: messages come in the order of the file"
+            )
+        else:
+            warnings += [
+                f"{self.path}: the times of {name} step back, its messages come in the order of their times"
+                for name, one in found.contents.items()
+                if one.steps_back
+            ]
+        found.warnings = tuple(warnings)
+        return found
+
+    def arrays(
+        self, topics: Collection[str] = (), begin: int | None = None, end: int | None = None
+    ) -> dict[str, TopicArrays]:
+        """Read messages as arrays; of files with an index, only chunks that may hold requested messages.
+
+        Parameters
+        ----------
+        topics
+            Their names; all when empty. Topics that can't be decoded are left out with a warning.
+        begin, end
+            Log times [ns].
+
+        Returns
+        -------
+        dict
+            By the topics' whole names.
+
+        Raises
+        ------
+        AbraceError
+            If a name is not in the bag, or matches several topics, or one asked for can't be decoded.
+        """
+        selection = Selection(topics, begin, end)
         try:
-            facts = read_facts_record(file)
+            found, failed, notes = read_arrays(self.files, selection)
+        except MemoryError as error:
+            raise AbraceError(f"{self.path}: more than there is memory, expected a part of it") from error
+        self._warn(f"{self.path}: topic {note}" for note in notes)
+        self._check(selection)
+        if not notes:
+            self._compare(selection, {name: one.log_time.size for name, one in found.items()})
+        for name, why in failed.items():
+            if topics:
+                raise AbraceError(f"{self.path}: topic {name} can't be read: {why}")
+            self._warn([f"{self.path}: topic {name} is left out: {why}"])
+        if self.uncounted:
+            self._warn(f"{self.path}: {missing_messages(name, sequence_ranges(one))}" for name, one in found.items())
+        return found
+
+    def run(self, topic: str | None = None) -> Run:
+        """The recorded test of the rig, of which no sample may be missing.
+
+        Parameters
+        ----------
+        topic
+            The topic of the responses; when None, the only one of their type.
+
+        Returns
+        -------
+        Run
+            Its facts are those of the bag; its `warnings`, if there are any, are among them.
+
+        Raises
+        ------
+        AbraceError
+            If there is no such topic, it has no messages, lacks samples, has several runs, or a value is not finite.
+        """
+        parts = self._runs(topic)
+        runs = [run for part in parts for run in part]
+        if len(runs) > 1:
+            before, after = int(runs[0].sequence[-1]), int(runs[1].sequence[0])
+            why = f"sample {before} is followed by sample {after}, expected {before + 1}"
+            if len(parts[0]) == 1:
+                why = f"sample {before} is followed by sample {after} of another run (the rig was activated again)"
+            raise AbraceError(f"{self.path}: {why}{in_brackets(self.warnings)}")
+        return runs[0]
+
+    def runs(self, topic: str | None = None) -> list[Run]:
+        """The recorded tests of the rig, each without a gap, in the order in which they were recorded.
+
+        A new one begins where the rig was activated again, and behind missing samples. `topic` and what is raised are
+        as for `run`; each run has the numbers of its samples, and says in its facts, as `warnings`, what is missing.
+        """
+        return [run for part in self._runs(topic) for run in part]
+
+    def tests(self, topic: str | None = None) -> list[Run]:
+        """As `runs` of a `topic`, but of what was recorded each time the rig was activated the longest run alone."""
+        return [max(part, key=lambda run: run.sequence.size) for part in self._runs(topic)]
+
+    def _runs(self, topic: str | None) -> list[list[Run]]:
+        named = [name for name, one in self.topics.items() if one.type_name == RESPONSE_TYPE]
+        if topic is not None:
+            named = [name for name in named if name == topic or is_end_of(topic, name)]
+        if len(named) > 1:
+            raise AbraceError(f"{self.path}: has {len(named)} topics of responses, name one of {', '.join(named)}")
+        if not named:
+            asked = f"no topic {topic}" if topic else "no topic"
+            raise AbraceError(f"{self.path}: {asked} of type {RESPONSE_TYPE} in it{in_brackets(self.warnings)}")
+        response = self.arrays(named)[named[0]]
+        try:
+            return runs_of(str(self.path), response, self.facts, self.warnings)
         except AbraceError as error:
-            damaged.append(error)
-            continue
-        if facts is not None:
-            return facts
-    if damaged:
-        raise damaged[0]
-    return {}
+            raise AbraceError(f"{self.path}: topic {named[0]}: {error}{in_brackets(self.warnings)}") from error
+
+    def time_range(
+        self, start_offset: float, duration: float, topics: Collection[str] = ()
+    ) -> tuple[int | None, int | None]:
+        """Begin and end [ns] of a part of the bag.
+
+        Parameters
+        ----------
+        start_offset
+            Seconds from the first message of the topics.
+        duration
+            Seconds from there; 0: to the end.
+        topics
+            Their names; all when empty.
+
+        Raises
+        ------
+        AbraceError
+            If there are messages, but none that late, or a name is not in the bag.
+        """
+        if not start_offset and not duration:
+            return None, None
+        selection = Selection(self.choose(topics) if topics else ())
+        edges = [
+            time
+            for last in (False, True)
+            for file in self.files
+            for messages in file.ends(selection, last)
+            for time in messages.log_time.tolist()
+        ]
+        if not edges:
+            return None, None
+        first, last_time = min(edges), max(edges)
+        begin = first + round(start_offset * 1e9)
+        if begin > last_time:
+            part = f"{start_offset:g} s to {f'{start_offset + duration:g} s' if duration else 'the end'}"
+            span = 1e-9 * (last_time - first)
+            raise AbraceError(f"{self.path}: there is no message from {part}, its messages span {span:.3f} s")
+        return begin, begin + round(duration * 1e9) if duration else None
+
+    def choose(self, asked: Collection[str], names: Iterable[str] | None = None) -> list[str]:
+        """Whole names of the topics `asked` for, among `names`: those of the bag when None.
+
+        Raises
+        ------
+        AbraceError
+            If one is not in the bag, or matches several topics.
+        """
+        known = sorted(self.topics if names is None else set(names))
+        chosen = []
+        for one in asked:
+            matching = [one] if one in known else [name for name in known if is_end_of(one, name)]
+            if len(matching) > 1:
+                raise AbraceError(f"{self.path}: topic {one} matches {', '.join(matching)}, name one of them")
+            if not matching:
+                where = f"{self.path}: no topic {one} in it{in_brackets(self.warnings)}"
+                raise AbraceError(f"{where}, {expected_of(one, known)}")
+            chosen += matching
+        return chosen
+
+    def _check(self, selection: Selection) -> None:
+        """Warn of messages that are left out; a topic that was asked for of which that are all is an error."""
+        self.choose(selection.asked, (channel.name for file in self.files for channel in file.channels.values()))
+        for name, (_, why) in selection.left_out.items():
+            if selection.asked and name not in selection.topics:
+                raise AbraceError(f"{self.path}: messages of topic {name} can't be read: {why}")
+            self._warn([f"{self.path}: messages of topic {name} are left out: {why}"])
+
+    def _compare(self, selection: Selection, found: Mapping[str, int]) -> None:
+        """Warn of topics that have fewer messages than metadata.yaml counts, if nothing else says what is missing."""
+        if selection.begin is None and selection.end is None:
+            known = "; ".join(self.warnings)
+            self._warn(
+                f"{self.path}: {METADATA_FILE} counts {self._counted[name]} messages of {name}, {count} are there"
+                for name, count in found.items()
+                if self._counted.get(name, 0) > count and f" messages of {name} are missing" not in known
+            )
+
+    def _warn(self, texts: Iterable[str]) -> None:
+        """Add what the files say, and further `texts`."""
+        for file in self.files:
+            self._warnings.update(dict.fromkeys(file.warnings))
+            for warning in file.metadata.get(COPY_RECORD, {}).get("warnings", "").splitlines():
+                self._warnings[f"{self.path}: was made of another bag: {warning}"] = None
+        self._warnings.update(dict.fromkeys(texts))
 
 
-def topic_names(bag: Path | str) -> set[str]:
-    """Names of the topics of a `bag`.
-
-    Raises
-    ------
-    AbraceError
-        As `open_bag`.
-    """
-    opened = open_bag(bag)
-    opened.read_besides_messages()
-    return {channel.topic for file in opened.files for channel in file.channels.values()}
+def read_run(bag: Path | str, topic: str | None = None) -> Run:
+    """The recorded test of the rig in a `bag`, as `Bag.run` gives it."""
+    return Bag(bag).run(topic)
 
 
-def existing(bag: Path | str) -> Path:
-    """The path of a `bag`.
-
-    Raises
-    ------
-    AbraceError
-        If there is nothing.
-    """
-    bag = Path(bag)
-    try:
-        exists = bag.exists()
-    except OSError as error:
-        raise AbraceError(f"{bag}: {error.strerror}") from error
-    if not exists:
-        raise AbraceError(f"{bag}: no such bag, expected a bag directory or an MCAP file")
-    return bag
-
-
-def bag_files(bag: Path | str) -> list[Path]:
-    """The MCAP files of a `bag`, in their order.
-
-    Raises
-    ------
-    AbraceError
-        If there is none.
-    """
-    return _named_files(existing(bag))[0]
+def read_runs(bag: Path | str, topic: str | None = None) -> list[Run]:
+    """The recorded tests of the rig in a `bag`, as `Bag.runs` gives them."""
+    return Bag(bag).runs(topic)
 
 
 def in_brackets(warnings: Sequence[str]) -> str:
@@ -191,62 +356,3 @@ def missing_messages(topic: str, numbers: NumberRanges | None) -> str:
         return f"topic {topic}: the number of missing messages is unknown"
     span = f"{numbers.ranges[0][0]} to {numbers.ranges[-1][1]}"
     return f"topic {topic}: {numbers.missing} of the samples {span} are missing, later ones are not known"
-
-
-def needs_rosbags(path: Path) -> bool:
-    """Whether a bag is not plain MCAP, by its name or by what its metadata.yaml says."""
-    if path.is_file():
-        return path.suffix != ".mcap" and (path.suffix == ".db3" or path.name.endswith((".db3.zstd", ".mcap.zstd")))
-    if not (path / METADATA_FILE).is_file():
-        return any(path.glob("*.db3*")) and not any(path.glob("*.mcap"))
-    try:
-        information = _information(path)
-        return information["storage_identifier"] != "mcap" or bool(information.get("compression_format"))
-    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, AttributeError):
-        # reading its MCAP files reports what is wrong
-        return False
-
-
-def _information(bag: Path) -> dict[str, Any]:
-    """The content of a bag's metadata.yaml."""
-    text = (bag / METADATA_FILE).read_text(encoding="utf-8")
-    loaded: dict[str, Any] = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))[
-        "rosbag2_bagfile_information"
-    ]
-    return loaded
-
-
-def _named_files(bag: Path) -> tuple[list[Path], list[str]]:
-    """The MCAP files of a bag, and what is wrong with it.
-
-    These are the files that metadata.yaml names. Without it, as when the logger was killed, they are those with the
-    bag's name and a number, or if there are none, all files: the copy of a file would double its messages.
-    """
-    if not bag.is_dir():
-        return [bag], []
-    found = sorted(bag.glob("*.mcap"), key=_by_numbers)
-    if not found:
-        raise AbraceError(f"{bag}: no MCAP file in it, expected a bag directory")
-    problems = []
-    chosen: list[Path] = []
-    why = ""
-    if (bag / METADATA_FILE).is_file():
-        try:
-            named = [bag / Path(name).name for name in _information(bag)["relative_file_paths"]]
-            chosen = [path for path in named if path.is_file()]
-            problems = [f"{bag}: {path.name} is missing" for path in named if path not in chosen]
-            why = f"{METADATA_FILE} does not name it"
-        except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError) as error:
-            problems = [f"{bag / METADATA_FILE}: can't be read ({' '.join(str(error).split())})"]
-    if not chosen:
-        pattern = re.compile(rf"{re.escape(bag.resolve().name)}_\d+\.mcap")
-        chosen = [path for path in found if pattern.fullmatch(path.name)]
-        why = f"the bag's own are {bag.resolve().name}_0.mcap and so on"
-    if not chosen:
-        return found, problems
-    others = [path for path in found if path not in chosen]
-    return chosen, problems + [f"{path}: is not read, {why}" for path in others]
-
-
-def _by_numbers(path: Path) -> list[int | str]:
-    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name)]

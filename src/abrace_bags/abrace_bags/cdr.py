@@ -1,290 +1,329 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages to arrays: the layout of a serialised message, and its decoding for many messages at once.
+"""Messages to arrays: many serialised messages are decoded together, field by field.
 
 A message is serialised as little-endian CDR (XCDR1): the encapsulation header of four bytes, then the fields in order,
-each number aligned to its own size counted from the end of that header. Only the lengths of strings and sequences move
-what follows them, so one walk through one message gives the offset of every number in all messages of the same lengths.
-They are decoded together; messages of other lengths are walked and decoded in their turn.
+each number aligned to its own size counted from the end of that header. The walk keeps a position in every message, so
+that a field is one operation on all of them, whatever the lengths of the strings and sequences before it are.
 """
 
 from __future__ import annotations
 
-import math
-import struct
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
+from itertools import accumulate
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
+from rosbags.interfaces import Nodetype
 
 from abrace_bags.definitions import NUMBERS
-from abrace_core.errors import AbraceError
+from abrace_bags.mcap.chunk import gather
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from abrace_bags.definitions import MessageType
 
 _HEADER_SIZE = 4
-_MOST_UNDECODABLE = 100
-_PADDED_SIZE = 1 << 28
-"""Bytes of texts, each as long as the longest, above which they become objects."""
+_UNENDED = "has a string that does not end with a zero"
+_Each: TypeAlias = "int | NDArray[np.int64]"
+_TEXT_OVERHEAD = 60
+"""Bytes that a text takes as an object in addition to its characters."""
+_REMEMBERED = 100
+"""Bytes of a text up to which equal texts become one object."""
 
 
-@dataclass(frozen=True)
-class _Leaf:
-    """A number, an array of numbers or a string in a message, and its offset; a count of None is a single value."""
+class Decoded(NamedTuple):
+    """What `decode` found.
 
-    offset: int
-    format: str
-    count: int | None = None
-    kind: str = "number"
+    Parameters
+    ----------
+    fields
+        By field, nested names joined by dots: (messages that fit, ...) arrays of numbers or texts; an array of objects,
+        one a message, where their shapes differ, and of str where that takes less memory.
+    fits
+        (messages that fit,) their numbers.
+    misfit
+        The first message that does not fit, and why; empty where all do.
+    """
 
-
-_Column: TypeAlias = "_Leaf | list[_Column]"
-
-
-@dataclass
-class _Layout:
-    """Where everything is in a message, and the numbers (offset, format, value) by which messages have this layout."""
-
-    columns: dict[str, _Column] = field(default_factory=dict)
-    signature: list[tuple[int, str, int]] = field(default_factory=list)
+    fields: dict[str, NDArray[Any]]
+    fits: NDArray[np.intp]
+    misfit: str
 
 
-def decode(message_type: MessageType, payloads: Sequence[tuple[NDArray[np.int64], NDArray[np.void]]]) -> dict[str, Any]:
-    """Decode messages to one array a field.
+class _MisfitError(Exception):
+    """Messages, given by their `numbers`, that do not fit their definition; the text is a predicate."""
+
+    def __init__(self, numbers: NDArray[np.intp], why: str) -> None:
+        super().__init__(why)
+        self.numbers = numbers
+
+
+def decode(message_type: MessageType, content: bytes, begins: NDArray[np.int64], ends: NDArray[np.int64]) -> Decoded:
+    """Decode messages to one array a field; those that do not fit the type are left out.
 
     Parameters
     ----------
     message_type
         What they are.
-    payloads
-        For each length that occurs: the numbers of its messages, counted from 0 over all, and their bytes.
-
-    Returns
-    -------
-    dict
-        By field, nested names joined by dots: (messages, ...) arrays of numbers or of str; an array of objects, one a
-        message, where their shapes differ, and of str where the longest of many is very long.
+    content
+        Bytes that hold all messages.
+    begins, ends
+        (messages,) where each one begins in it, and where it ends.
 
     Raises
     ------
     AbraceError
-        If a message is not little-endian CDR, or does not fit the definition.
+        If half of the messages or more do not fit: the definition is another type's then.
     """
-    count = sum(len(numbers) for numbers, _ in payloads)
-    groups = [
-        (numbers[chosen], {path: _values(column, records) for path, column in layout.columns.items()})
-        for numbers, block in payloads
-        for chosen, records, layout in _by_layout(message_type, numbers, block)
-    ]
-    if not groups:
-        return {path: np.empty(0) for path in _paths(message_type, message_type.name)}
-    return {path: _joined(count, [(numbers, group[path]) for numbers, group in groups]) for path in groups[0][1]}
-
-
-def undecodable(
-    message_type: MessageType, payloads: Sequence[tuple[NDArray[np.int64], NDArray[np.void]]]
-) -> NDArray[np.int64]:
-    """Numbers of the messages that `decode` refuses, found by bisection.
-
-    Parameters
-    ----------
-    message_type, payloads
-        As for `decode`.
-
-    Raises
-    ------
-    AbraceError
-        If there are many: the definition is another type's then.
-    """
-    refused: list[int] = []
-
-    def search(numbers: NDArray[np.int64], block: NDArray[np.void]) -> None:
+    fits, misfit = np.arange(len(begins)), ""
+    size = int(ends[0] - begins[0]) if len(begins) else 0
+    if size and (ends - begins == size).all():  # side by side, their fields are at equal distances
+        content = gather(content, f"V{size}", begins).tobytes()
+        begins = np.arange(len(begins), dtype=np.int64) * size
+        ends = begins + size
+    while True:
         try:
-            decode(message_type, [(np.arange(len(block)), block)])
-        except AbraceError:
-            if len(refused) == _MOST_UNDECODABLE:
-                raise
-            if len(block) == 1:
-                refused.append(int(numbers[0]))
-                return
-            half = len(block) // 2
-            search(numbers[:half], block[:half])
-            search(numbers[half:], block[half:])
-
-    for numbers, block in payloads:
-        search(numbers, block)
-    return np.array(refused, np.int64)
+            return Decoded(_Walk(message_type, content, begins[fits], ends[fits], fits).fields(), fits, misfit)
+        except _MisfitError as error:
+            misfit = misfit or f"message {error.numbers[0]}: {error}"
+            fits = np.setdiff1d(fits, error.numbers)
+            if 2 * len(fits) <= len(begins):
+                raise AbraceError(misfit) from error
 
 
-def _by_layout(
-    message_type: MessageType, numbers: NDArray[np.int64], block: NDArray[np.void]
-) -> Iterator[tuple[NDArray[np.intp], NDArray[np.void], _Layout]]:
-    """Groups of messages of one layout: which of the block, their records, the layout."""
-    remaining = np.arange(len(block))
-    while remaining.size:
-        try:
-            layout = _Walk(message_type, block[0].tobytes()).layout
-        except AbraceError as error:
-            raise AbraceError(f"message {numbers[remaining[0]]}: {error}") from error
-        leaves = list(_leaves(layout.columns.values()))
-        names = [f"signature {offset}" for offset, _, _ in layout.signature] + [str(leaf.offset) for leaf in leaves]
-        formats: list[Any] = [form for _, form, _ in layout.signature]
-        formats += [leaf.format if leaf.count is None else (leaf.format, (leaf.count,)) for leaf in leaves]
-        offsets = [offset for offset, _, _ in layout.signature] + [leaf.offset for leaf in leaves]
-        row = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": block.dtype.itemsize})
-        records = block.view(row)
-        same = np.ones(len(block), bool)
-        for offset, _, value in layout.signature:
-            same &= records[f"signature {offset}"] == value
-        if same.all():
-            yield remaining, records, layout
-            return
-        yield remaining[same], records[same], layout
-        remaining, block = remaining[~same], block[~same]
-
-
-def _leaves(columns: Any) -> Iterator[_Leaf]:
-    for column in columns:
-        if isinstance(column, list):
-            yield from _leaves(column)
-        elif column.count != 0:
-            yield column
-
-
-def _values(column: _Column, records: NDArray[np.void]) -> NDArray[Any]:
-    """(messages, ...) values of a column."""
-    messages = len(records)
-    if isinstance(column, list):
-        parts = [_values(part, records) for part in column]
-        if not parts:
-            return np.empty((messages, 0))
-        if len({part.shape for part in parts}) == 1:
-            return np.stack(parts, axis=1)
-        ragged = np.empty((messages, len(parts)), dtype=object)
-        for j, part in enumerate(parts):
-            for i in range(messages):
-                ragged[i, j] = part[i]
-        return ragged
-    if column.count == 0:
-        return np.full(messages, "") if column.kind == "string" else np.empty((messages, 0), column.format)
-    values = np.ascontiguousarray(records[str(column.offset)])
-    if column.kind == "bool":
-        return values != 0
-    if column.kind == "string":
-        distinct, which = (values[:1], None) if (values == values[0]).all() else np.unique(values, return_inverse=True)
-        try:
-            texts = np.array([text.decode() for text in distinct.tolist()])
-        except UnicodeDecodeError as error:
-            raise AbraceError(f"a string of the message is not UTF-8 ({error.reason})") from error
-        return np.repeat(texts, messages) if which is None else texts[which]
-    return values
-
-
-def _joined(count: int, groups: list[tuple[NDArray[np.int64], NDArray[Any]]]) -> NDArray[Any]:
-    """Values of all messages in their order, from those of each group."""
-    if len(groups) == 1 and len(groups[0][0]) == count:
-        return groups[0][1]
-    joined: NDArray[Any]
-    if len({values.shape[1:] for _, values in groups}) == 1:
-        shape, dtype = (count, *groups[0][1].shape[1:]), np.result_type(*(values for _, values in groups))
-        if dtype.kind == "U" and math.prod(shape) * dtype.itemsize > _PADDED_SIZE:
-            dtype = np.dtype(object)
-        joined = np.empty(shape, dtype)
-        for numbers, values in groups:
-            joined[numbers] = values
-        return joined
-    joined = np.empty(count, dtype=object)
-    for numbers, values in groups:
-        for number, value in zip(numbers, values, strict=True):
-            joined[number] = value
-    return joined
-
-
-def _paths(message_type: MessageType, type_name: str, prefix: str = "") -> list[str]:
-    """Names of the values of a message type."""
-    paths = []
-    for member in message_type.fields[type_name]:
-        nested = member.type_name in message_type.fields
-        paths += _paths(message_type, member.type_name, f"{prefix}{member.name}.") if nested else [prefix + member.name]
-    return paths
+def decode_each(message_type: MessageType, messages: Sequence[bytes]) -> Decoded:
+    """Decode `messages` as `decode` does, given each by itself."""
+    ends = np.array(list(accumulate(map(len, messages), initial=0)), np.int64)
+    return decode(message_type, b"".join(messages), ends[:-1], ends[1:])
 
 
 class _Walk:
-    """Goes through one message, field by field, for its layout."""
+    """A position in each of several messages, which goes through their fields.
 
-    def __init__(self, message_type: MessageType, payload: bytes) -> None:
-        self._type = message_type
-        self._payload = payload
-        self._offset = _HEADER_SIZE
-        self.layout = _Layout()
-        if payload[:2] != b"\x00\x01":
-            raise AbraceError(f"begins with {payload[:2].hex(' ')}, expected 00 01 (little-endian CDR)")
-        self.layout.signature.append((0, ">u2", 1))
-        self.layout.columns.update(self._message(message_type.name))
+    Positions, lengths and counts that all messages have in common are a number, others are arrays (messages,).
+    """
+
+    def __init__(
+        self,
+        message_type: MessageType,
+        content: bytes,
+        begins: NDArray[np.int64],
+        ends: NDArray[np.int64],
+        numbers: NDArray[np.intp],
+    ) -> None:
+        self._type, self._content = message_type, content
+        self._begins, self._ends, self._numbers = begins, ends, numbers
+        self._sizes = _in_common(ends - begins)
+        steps = _in_common(np.diff(begins))
+        self._step = steps if isinstance(steps, int) else 0
+        self._at: _Each = _HEADER_SIZE
         # Fast DDS reserves up to 8 bytes for an empty sequence that it doesn't write, and pads the end to 4 bytes
-        spare = 3 + 8 * sum(form == "<u4" and value == 0 for _, form, value in self.layout.signature)
-        if not 0 <= len(payload) - self._offset <= spare:
-            raise AbraceError(
-                f"has {len(payload)} bytes, expected {self._offset} by the definition of {message_type.name}"
-            )
+        self._spare: _Each = 3
 
-    def _message(self, type_name: str) -> dict[str, _Column]:
-        columns: dict[str, _Column] = {}
-        fields = self._type.fields[type_name]
-        if not fields:  # ROS gives an empty message one unused byte
-            self._advance(1)
-        for member in fields:
-            count = self._length() if member.count == 0 else member.count
-            if member.type_name in NUMBERS:
-                columns[member.name] = self._numbers(member.type_name, count)
-            elif member.type_name == "string":
-                columns[member.name] = self._string() if count is None else [self._string() for _ in range(count)]
-            elif count is None:
-                nested = self._message(member.type_name)
-                columns.update({f"{member.name}.{path}": column for path, column in nested.items()})
-            else:
-                elements = [self._message(member.type_name) for _ in range(count)]
-                for path in _paths(self._type, member.type_name):
-                    columns[f"{member.name}.{path}"] = [element[path] for element in elements]
+    def fields(self) -> dict[str, NDArray[Any]]:
+        """All values of the messages, by field."""
+        self._refuse(self._at > self._sizes, "has less than 4 bytes")
+        form = self._gather(">u2", 0)
+        wrong = form != 1
+        if wrong.any():
+            begin = form[wrong][0].tobytes()[::-1].hex(" ")
+            self._refuse(wrong, f"begins with {begin}, expected 00 01 (little-endian CDR)")
+        columns = self._message(self._type.name)
+        wrong = np.broadcast_to(self._sizes - self._at > self._spare, len(self._begins))
+        if wrong.any():
+            size, expected = (np.broadcast_to(one, len(wrong))[wrong][0] for one in (self._sizes, self._at))
+            self._refuse(wrong, f"has {size} bytes, expected {expected} by the definition of {self._type.name}")
         return columns
 
-    def _numbers(self, type_name: str, count: int | None) -> _Leaf:
-        form = NUMBERS[type_name]
-        kind = "bool" if type_name == "bool" else "number"
-        if count == 0:
-            return _Leaf(self._offset, "?" if kind == "bool" else form, 0)
-        size = int(form[-1])
-        self._align(size)
-        leaf = _Leaf(self._offset, form, count, kind)
-        self._advance(size * (1 if count is None else count))
-        return leaf
+    def _refuse(self, wrong: bool | NDArray[np.bool_], why: str) -> None:
+        if np.any(wrong) and len(self._numbers):
+            raise _MisfitError(self._numbers if isinstance(wrong, bool) else self._numbers[wrong], why)
 
-    def _string(self) -> _Leaf:
-        length = self._length()
-        leaf = _Leaf(self._offset, f"S{length}", None if length else 0, "string")
-        self._advance(length)
-        if length:
-            if self._payload[self._offset - 1] != 0:
-                raise AbraceError(f"the string at byte {leaf.offset} does not end with a zero after {length} bytes")
-            self.layout.signature.append((self._offset - 1, "u1", 0))
-        return leaf
+    def _message(self, type_name: str) -> dict[str, NDArray[Any]]:
+        fields = self._type.fields[type_name]
+        if not fields:  # ROS gives an empty message one unused byte
+            self._take(1, 1)
+        columns: dict[str, NDArray[Any]] = {}
+        for name, (kind, detail) in fields:
+            if kind in (Nodetype.BASE, Nodetype.NAME):
+                columns.update(_prefixed(name, self._one(kind, detail)))
+                continue
+            (kind_of_one, detail_of_one), count = detail
+            counts = self._length() if kind is Nodetype.SEQUENCE else count
+            if kind_of_one is Nodetype.BASE and detail_of_one[0] in NUMBERS:
+                columns[name] = self._arrays(detail_of_one[0], counts)
+            else:
+                columns.update(_prefixed(name, self._several(kind_of_one, detail_of_one, counts)))
+        return columns
 
-    def _length(self) -> int:
-        self._align(4)
-        offset = self._offset
-        self._advance(4)
-        (value,) = struct.unpack_from("<I", self._payload, offset)
-        self.layout.signature.append((offset, "<u4", value))
-        return int(value)
+    def _one(self, kind: Nodetype, detail: Any) -> dict[str, NDArray[Any]]:
+        """A value: its columns by their names within it, empty for that of a number or text."""
+        if kind is Nodetype.NAME:
+            return self._message(detail)
+        if detail[0] in NUMBERS:
+            form = np.dtype(NUMBERS[detail[0]])
+            values = self._gather(form, self._take(form.itemsize, form.itemsize))
+            return {"": values != 0 if detail[0] == "bool" else values}
+        return {"": self._texts()}
 
-    def _align(self, size: int) -> None:
-        self._offset += (_HEADER_SIZE - self._offset) % size
+    def _arrays(self, type_name: str, counts: _Each) -> NDArray[Any]:
+        """Arrays of `counts` numbers."""
+        form = np.dtype(NUMBERS[type_name])
+        begins = self._take(counts * form.itemsize, form.itemsize)
+        if isinstance(counts, int):
+            values = self._gather(form, begins, counts)
+            return values != 0 if type_name == "bool" else values
+        distinct = np.unique(counts).tolist()
+        rows = []
+        for count in distinct:
+            which = counts == count
+            values = self._of(which, 0, 0)._gather(form, _some(begins, which), count)
+            rows.append(values != 0 if type_name == "bool" else values)
+        return _scattered(counts, distinct, rows)
 
-    def _advance(self, size: int) -> None:
-        self._offset += size
-        if self._offset > len(self._payload):
-            raise AbraceError(f"has {len(self._payload)} bytes, too few for the definition of {self._type.name}")
+    def _several(self, kind: Nodetype, detail: Any, counts: _Each) -> dict[str, NDArray[Any]]:
+        """Arrays of `counts` texts or messages: columns by their names within an element."""
+        self._refuse(counts > self._sizes - self._at, "has too few bytes for its arrays")
+        names = self._type.names(detail) if kind is Nodetype.NAME else [""]
+        if isinstance(counts, int):
+            elements = [self._one(kind, detail) for _ in range(counts)]
+            return {name: _stacked([one[name] for one in elements], len(self._begins)) for name in names}
+        parts: list[tuple[NDArray[np.intp], dict[str, NDArray[Any]]]] = []
+        at, spare = (np.broadcast_to(one, len(counts)).copy() for one in (self._at, self._spare))
+        for number in range(int(counts.max())):
+            which = np.flatnonzero(counts > number)
+            walk = self._of(which, at, spare)
+            parts.append((which, walk._one(kind, detail)))
+            at[which], spare[which] = walk._at, walk._spare
+        self._at, self._spare = at, spare
+        distinct = np.unique(counts).tolist()
+        columns = {}
+        for name in names:
+            rows = []
+            for count in distinct:
+                of_count = np.flatnonzero(counts == count)
+                elements_of = [part[name][np.searchsorted(which, of_count)] for which, part in parts[:count]]
+                rows.append(_stacked(elements_of, len(of_count)))
+            columns[name] = _scattered(counts, distinct, rows)
+        return columns
+
+    def _of(self, which: NDArray[Any], at: _Each, spare: _Each) -> _Walk:
+        """The walk through some of the messages, from where all are `at`."""
+        walk = _Walk(self._type, self._content, self._begins[which], self._ends[which], self._numbers[which])
+        walk._at, walk._spare = _some(at, which), _some(spare, which)
+        return walk
+
+    def _length(self) -> _Each:
+        """The length of a text or sequence."""
+        lengths = _in_common(self._gather("<u4", self._take(4, 4)).astype(np.int64))
+        self._spare = self._spare + 8 * (lengths == 0)
+        return lengths
+
+    def _texts(self) -> NDArray[Any]:
+        lengths = self._length()
+        begins = self._take(lengths, 1)
+        last = begins + lengths - 1
+        if isinstance(lengths, int):
+            if not lengths:
+                return np.full(len(self._begins), "")
+            self._refuse(self._gather("u1", last) != 0, _UNENDED)
+            rows = self._gather("u1", begins, lengths - 1)
+            if len(rows) and (rows == rows[0]).all():
+                return _text_array([self._text(0, rows[0].tobytes())], len(rows))
+        else:
+            some = lengths > 0
+            wrong = np.zeros(len(lengths), bool)
+            wrong[some] = self._of(some, 0, 0)._gather("u1", _some(last, some)) != 0
+            self._refuse(wrong, _UNENDED)
+        texts = []
+        known: dict[bytes, str] = {}
+        firsts = self._begins + begins
+        ends = firsts + np.maximum(lengths - 1, 0)
+        for number, (begin, end) in enumerate(zip(firsts.tolist(), ends.tolist(), strict=True)):
+            text = self._content[begin:end]
+            if end - begin > _REMEMBERED:
+                texts.append(self._text(number, text))
+            elif text in known:
+                texts.append(known[text])
+            else:
+                texts.append(known.setdefault(text, self._text(number, text)))
+        return _text_array(texts, len(texts))
+
+    def _text(self, number: int, text: bytes) -> str:
+        try:
+            return text.decode()
+        except UnicodeDecodeError as error:
+            why = f"has a string that is not UTF-8 ({error.reason})"
+            raise _MisfitError(self._numbers[number : number + 1], why) from error
+
+    def _take(self, size: _Each, alignment: int) -> _Each:
+        """Where the next `size` bytes of each message begin; the position goes behind them."""
+        begins = self._at + (_HEADER_SIZE - self._at) % alignment
+        if not isinstance(size, int):  # an empty sequence is not aligned
+            begins = np.where(size > 0, begins, self._at)
+        elif not size:
+            begins = self._at
+        self._at = begins + size
+        self._refuse(self._at > self._sizes, f"has too few bytes for the definition of {self._type.name}")
+        return begins
+
+    def _gather(self, form: Any, at: _Each, count: int | None = None) -> NDArray[Any]:
+        """(messages,) numbers at these positions of the messages, or (messages, count) for a `count`."""
+        form = np.dtype(form)
+        messages = len(self._begins)
+        shape, strides = ((), ()) if count is None else ((count,), (form.itemsize,))
+        if messages > 1 and self._step > 0 and isinstance(at, int) and count != 0:
+            first = int(self._begins[0]) + at
+            return np.ndarray((messages, *shape), form, self._content, first, (self._step, *strides)).copy()
+        return gather(self._content, form, self._begins + at, count)
+
+
+def _in_common(values: NDArray[np.int64]) -> _Each:
+    """What all `values` are, if they are the same, or 0 if there is none; else the values."""
+    if not len(values):
+        return 0
+    return int(values[0]) if (values == values[0]).all() else values
+
+
+def _some(values: _Each, which: NDArray[Any]) -> _Each:
+    return values if isinstance(values, int) else values[which]
+
+
+def _prefixed(name: str, columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {f"{name}.{path}" if path else name: column for path, column in columns.items()}
+
+
+def _stacked(elements: list[NDArray[Any]], messages: int) -> NDArray[Any]:
+    """(messages, elements, ...) from the values (messages, ...) of each element; objects where their shapes differ."""
+    if not elements:
+        return np.empty((messages, 0))
+    if len({element.shape for element in elements}) == 1:
+        return np.stack(elements, axis=1)
+    ragged = np.empty((messages, len(elements)), dtype=object)
+    for j, element in enumerate(elements):
+        for i in range(messages):
+            ragged[i, j] = element[i]
+    return ragged
+
+
+def _scattered(counts: NDArray[np.int64], distinct: list[int], values: list[NDArray[Any]]) -> NDArray[Any]:
+    """(messages,) objects: the rows of `values` of each of the `distinct` counts, in the order of the messages."""
+    scattered = np.empty(len(counts), dtype=object)
+    for count, rows in zip(distinct, values, strict=True):
+        for number, row in zip(np.flatnonzero(counts == count).tolist(), rows, strict=True):
+            scattered[number] = row
+    return scattered
+
+
+def _text_array(texts: list[str], messages: int) -> NDArray[Any]:
+    """(messages,) of the `texts`, of which one is that of all messages; str, or objects where these are smaller."""
+    longest, total = max(map(len, texts), default=0), sum(map(len, texts))
+    small = 4 * longest * len(texts) <= _TEXT_OVERHEAD * len(texts) + total
+    if small and not any(text.endswith("\0") for text in texts):  # NumPy's texts would lose it
+        return np.array(texts) if len(texts) == messages else np.full(messages, texts[0])
+    array = np.empty(messages, dtype=object)
+    array[:] = texts if len(texts) == messages else texts[0]
+    return array

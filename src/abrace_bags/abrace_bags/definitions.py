@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Message definitions: the .msg texts that bags carry, found for installed types and parsed to fields."""
+"""Message definitions: the texts that bags carry, found for installed types, and parsed to fields by `rosbags`."""
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from abrace_core.errors import AbraceError
+from rosbags.interfaces import Nodetype
+
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -31,16 +34,12 @@ NUMBERS = {
     "float64": "<f8",
 }
 """Types of numbers and how they are serialised."""
-
-_LINE = re.compile(
-    r"(?P<type>[A-Za-z][\w/]*)(?P<bound><=\d+)?(?P<array>\[(?P<sequence><=\d+)?(?P<count>\d*)\])?"
-    r"\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)"
-)
 _TYPE_NAME = re.compile(r"([a-z]\w*)/msg/([A-Z]\w*)")
 _FEEDBACK = re.compile(r"([a-z]\w*)/action/([A-Z]\w*)_FeedbackMessage")
 _ACTION_PARTS = re.compile(r"^---\s*$", re.MULTILINE)
 _SEPARATOR = "=" * 80
-_NESTED = re.compile(rf"^{_SEPARATOR}\s*^MSG: *(\S+) *$", re.MULTILINE)
+_MOST_VALUES = 20_000
+"""Values of a message; types in one another can have 2^26 with a text of a few lines."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +61,31 @@ class MessageDefinition:
     type_hash: str
 
 
+@dataclass(frozen=True)
+class MessageType:
+    """A message type with those that it uses: all that decoding needs.
+
+    Parameters
+    ----------
+    name
+        As `package/msg/Type`.
+    fields
+        Of each type, by such a name: names of the fields with their types, as `rosbags.typesys` describes them.
+    """
+
+    name: str
+    fields: Mapping[str, Sequence[tuple[str, Any]]]
+
+    def names(self, type_name: str, prefix: str = "") -> list[str]:
+        """Names of the values of the type `type_name`, after the `prefix`; those of nested messages joined by dots."""
+        found = []
+        for name, (kind, detail) in self.fields[type_name]:
+            one = detail[0] if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else (kind, detail)
+            nested = one[0] is Nodetype.NAME
+            found += self.names(one[1], f"{prefix}{name}.") if nested else [prefix + name]
+        return found
+
+
 def message_definition(type_name: str) -> MessageDefinition:
     """Definition of an installed message type, found under the folders of AMENT_PREFIX_PATH.
 
@@ -77,30 +101,29 @@ def message_definition(type_name: str) -> MessageDefinition:
         If the name is not a message type's, or the type or one that it uses is not installed.
     """
     if match := _TYPE_NAME.fullmatch(type_name):
-        own_name = f"{match[1]}/{match[2]}"
         own_file = _installed_file(match[1], f"msg/{match[2]}.msg")
-        texts = {own_name: _read(own_file)}
+        texts = {type_name: _read(own_file)}
     elif match := _FEEDBACK.fullmatch(type_name):
-        own_name, feedback = type_name, f"{match[1]}/action/{match[2]}_Feedback"
+        feedback = f"{match[1]}/action/{match[2]}_Feedback"
         own_file = _installed_file(match[1], f"action/{match[2]}.action")
         # goal, result, feedback; what a message of the feedback's topic has in addition is the same for all actions
         texts = {feedback: _ACTION_PARTS.split(_read(own_file))[-1].lstrip("\n")}
-        texts = {own_name: f"unique_identifier_msgs/UUID goal_id\n{feedback} feedback\n", **texts}
+        texts = {type_name: f"unique_identifier_msgs/UUID goal_id\n{feedback} feedback\n", **texts}
     else:
         raise AbraceError(f"message type {type_name!r}: expected package/msg/Type")
     to_read = list(texts)
     while to_read:
         name, file = to_read.pop(0), own_file
         if name not in texts:
-            package, _, short_name = name.partition("/")
+            package, _, short_name = name.split("/")
             file = _installed_file(package, f"msg/{short_name}.msg")
             texts[name] = _read(file)
         try:
-            to_read += [other for other in referred_types(name, parse_fields(texts[name])) if other not in texts]
+            to_read += [other for other in _used(_parsed(name, texts[name])[name]) if other not in texts]
         except AbraceError as error:
             raise AbraceError(f"{file}: {error}") from error
-    parts = [texts.pop(own_name)]
-    parts += [f"{_SEPARATOR}\nMSG: {name}\n{text}" for name, text in texts.items()]
+    parts = [texts.pop(type_name)]
+    parts += [f"{_SEPARATOR}\nMSG: {name.replace('/msg/', '/')}\n{text}" for name, text in texts.items()]
     text = "\n".join(part if part.endswith("\n") else f"{part}\n" for part in parts)
     return MessageDefinition(type_name, text, _type_hash(type_name, own_file.with_suffix(".json")))
 
@@ -133,66 +156,8 @@ def _type_hash(type_name: str, path: Path) -> str:
         raise AbraceError(f"{path}: expected `type_hashes` with an entry for {type_name}") from error
 
 
-@dataclass(frozen=True)
-class MessageField:
-    """One field of a message: its name, the type of its elements, and how many there are.
-
-    Parameters
-    ----------
-    name
-        As in the .msg text.
-    type_name
-        A number's type, `string`, or the type of a nested message as it is written there.
-    count
-        None for one value, 0 for a sequence, otherwise the length of the array.
-    """
-
-    name: str
-    type_name: str
-    count: int | None
-
-
-@dataclass(frozen=True)
-class MessageType:
-    """A message type with those that it uses: all that decoding needs.
-
-    Parameters
-    ----------
-    name
-        As `package/Type`.
-    fields
-        Of each type, by `package/Type`.
-    """
-
-    name: str
-    fields: Mapping[str, tuple[MessageField, ...]]
-
-
-def parse_fields(text: str) -> tuple[MessageField, ...]:
-    r"""Fields of one .msg text; comments, constants and default values are left out.
-
-    >>> parse_fields("int8 LIMIT=3  # a constant\nfloat64[] force  # N")
-    (MessageField(name='force', type_name='float64', count=0),)
-    """
-    fields = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        code = line.partition("#")[0].strip()
-        if not code:
-            continue
-        match = _LINE.fullmatch(code)
-        if match is None:
-            raise AbraceError(f"message definition, line {number}: {code!r}, expected a type and a name")
-        if match["rest"].startswith("="):
-            continue
-        type_name = match["type"]
-        if type_name == "wstring":
-            raise AbraceError(f"message definition, line {number}: wstring fields are not supported, expected string")
-        count = None if match["array"] is None else int(match["count"] or 0)
-        fields.append(MessageField(match["name"], type_name, count))
-    return tuple(fields)
-
-
-def parse_message_type(type_name: str, text: str) -> MessageType:
+@functools.lru_cache(maxsize=256)
+def parse_message_type(type_name: str, text: str, encoding: str = "ros2msg") -> MessageType:
     """A message type from its definition text, as bags carry it.
 
     Parameters
@@ -200,60 +165,86 @@ def parse_message_type(type_name: str, text: str) -> MessageType:
     type_name
         As `package/msg/Type`.
     text
-        The .msg text with those of the types that it uses (`MessageDefinition.text`).
+        The definition with those of the types that it uses (`MessageDefinition.text`).
+    encoding
+        `ros2msg` or `ros2idl`: how the text is written.
 
     Raises
     ------
     AbraceError
-        If a line is not a field, a type is missing, or a type contains itself.
+        If the text is neither, a line is not a field, a type is missing, can't be decoded or contains itself.
     """
-    name = type_name.replace("/msg/", "/")
-    own, *others = _NESTED.split(text)
-    texts = dict(zip((other.replace("/msg/", "/") for other in others[::2]), others[1::2], strict=True))
-    texts[name] = own
-    fields: dict[str, tuple[MessageField, ...]] = {}
+    own = type_name if type_name.count("/") > 1 else type_name.replace("/", "/msg/")
+    types = _parsed(own, text, encoding)
+    fields: dict[str, Sequence[tuple[str, Any]]] = {}
 
-    def resolve(name: str, above: tuple[str, ...]) -> None:
+    sizes: dict[str, int] = {}
+
+    def values(name: str, above: tuple[str, ...]) -> int:
+        """How many values a message of this type has, an array of numbers and a sequence counted as one."""
         if name in above:
             raise AbraceError(f"message definition of {type_name}: {name} contains itself")
-        if name in fields:
-            return
-        if name not in texts:
+        if name not in types:
             raise AbraceError(f"message definition of {type_name}: the definition of {name} is missing")
-        parsed = parse_fields(texts[name])
-        referred = referred_types(name, parsed)
-        full_names = iter(referred)
-        fields[name] = tuple(
-            field if is_plain(field) else replace(field, type_name=next(full_names)) for field in parsed
-        )
-        for other in referred:
-            resolve(other, (*above, name))
+        if name not in sizes:
+            fields[name] = types[name]
+            of_types = {other: values(other, (*above, name)) for other in _used(types[name])}
+            sizes[name] = 0
+            for _, (kind, detail) in types[name]:
+                one = detail[0] if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else (kind, detail)
+                count = detail[1] if kind is Nodetype.ARRAY and one[1][0] not in NUMBERS else 1
+                sizes[name] += count * of_types.get(one[1], 1)
+        return sizes[name]
 
-    resolve(name, ())
-    return MessageType(name, fields)
+    if values(own, ()) > _MOST_VALUES:
+        raise AbraceError(f"message definition of {type_name}: {sizes[own]} values, expected at most {_MOST_VALUES}")
+    return MessageType(own, fields)
 
 
-def is_same_type(one: tuple[str, str], other: tuple[str, str]) -> bool:
-    """Whether `one` and `other` definition (a type's name, its text) have the same fields; comments may differ."""
+def is_same_type(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
+    """Whether `one` and `other` have the same fields: type name, text, encoding; comments may differ."""
     try:
         return one == other or parse_message_type(*one) == parse_message_type(*other)
     except AbraceError:
         return False
 
 
-def referred_types(name: str, fields: Sequence[MessageField]) -> list[str]:
-    """Message types that these fields of type `name` (`package/Type`) use, as `package/Type`, in order."""
+def _parsed(type_name: str, text: str, encoding: str = "ros2msg") -> dict[str, Sequence[tuple[str, Any]]]:
+    """The fields of a type and of those that its definition brings along, by their names."""
+    from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
+
+    # without comments, which are most of a text, it is parsed in a fraction of the time
+    lines = [line.partition("#")[0].rstrip() for line in text.splitlines()]
+    try:
+        if encoding == "ros2idl":
+            parsed = get_types_from_idl(text)
+        elif "---" in lines:
+            raise AbraceError(f"message definition of {type_name}: is that of a service or an action, not of a message")
+        elif encoding == "ros2msg":
+            parsed = get_types_from_msg("\n".join(filter(None, lines)), type_name)
+        elif not encoding:
+            raise AbraceError(f"the definition of {type_name} is not in the bag, and the type is not installed")
+        else:
+            raise AbraceError(f"message definition of {type_name}: is written as {encoding!r}, expected 'ros2msg'")
+    except TypesysError as error:
+        for number, line in enumerate(lines, start=1):
+            try:
+                get_types_from_msg("" if line == _SEPARATOR or line.startswith("MSG: ") else line, type_name)
+            except TypesysError:
+                raise AbraceError(f"message definition, line {number}: {line!r}, expected a type and a name") from error
+        raise AbraceError(f"message definition of {type_name}: {' '.join(str(error).split())[:200]}") from error
+    return {name: fields for name, (_, fields) in parsed.items()}
+
+
+def _used(fields: Sequence[tuple[str, Any]]) -> list[str]:
+    """Message types that `fields` use, in order."""
     types = []
-    for field in fields:
-        if is_plain(field):
-            continue
-        other = field.type_name.replace("/msg/", "/")
-        if other == "Header":
-            other = "std_msgs/Header"
-        types.append(other if "/" in other else f"{name.partition('/')[0]}/{other}")
+    for name, (kind, detail) in fields:
+        one = detail[0] if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else (kind, detail)
+        if (one[0] is Nodetype.NAME and one[1].endswith("/wstring")) or one[1][0] == "wstring":
+            raise AbraceError(f"field {name} is a wstring, which is not supported, expected string")
+        if one[0] is Nodetype.NAME:
+            types.append(one[1])
+        elif one[1][0] not in NUMBERS and one[1][0] != "string":
+            raise AbraceError(f"field {name} is a {one[1][0]}, which is not supported")
     return types
-
-
-def is_plain(field: MessageField) -> bool:
-    """Whether a `field` holds numbers or strings, not messages."""
-    return field.type_name in NUMBERS or field.type_name == "string"

@@ -6,47 +6,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from abrace_bags.bag import missing_messages, open_bag
-from abrace_bags.losses import RecordedCounts, recorded_counts
-from abrace_bags.mcap.file_reader import McapFile
-from abrace_bags.survey import TopicSurvey, edges, survey
+from abrace_bags.bag import Bag, missing_messages
+from abrace_bags.mcap.contents import TopicContent, recorded_contents
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from abrace_bags.bag import OpenedBag
-
-
-@dataclass(frozen=True)
-class TopicDescription:
-    """One topic of a bag.
-
-    Parameters
-    ----------
-    name, type_name
-        As `/response` and `abrace_interfaces/msg/Response`.
-    count
-        Messages.
-    rate
-        Messages a second between the first and the last; 0 where there are fewer than two.
-    first
-        `sequence` of its first message; None for messages that do not begin with a header and one.
-    gaps
-        How often `sequence` skips numbers; None where `first` is.
-    missing
-        Numbers that it skips in all; None where `first` is.
-    lost
-        Messages that the logger counted as lost; None where the bag has no such count.
-    """
-
-    name: str
-    type_name: str
-    count: int
-    rate: float
-    first: int | None
-    gaps: int | None
-    missing: int | None
-    lost: int | None
 
 
 @dataclass(frozen=True)
@@ -55,8 +19,10 @@ class BagDescription:
 
     Parameters
     ----------
-    topics
-        In the order of their names.
+    types
+        Of the messages of each topic, by its name.
+    contents
+        Messages, times, gaps, losses of each topic, by its name.
     begin, end
         Log times of the first and the last message [ns]; both 0 where there is none.
     size
@@ -71,7 +37,8 @@ class BagDescription:
         What is missing or can't be trusted, one sentence each.
     """
 
-    topics: tuple[TopicDescription, ...]
+    types: dict[str, str]
+    contents: dict[str, TopicContent]
     begin: int
     end: int
     size: int
@@ -89,62 +56,47 @@ class BagDescription:
 def describe(bag: Path | str, check: bool = False) -> BagDescription:
     """Describe a `bag`, a directory or a single file.
 
-    That takes its index, the counts that the logger wrote at its end, and the first and the last chunk of each topic. A
-    bag that lacks some of these, as one of another writer or one that was cut off, is read chunk by chunk, and so is
-    every bag with `check`, which finds damage in any chunk.
+    That takes its index and the counts that were written at its end. A bag that lacks them, as one of another writer or
+    one that was cut off, is read chunk by chunk, and so is every bag with `check`, which finds damage in any chunk.
 
     Raises
     ------
     AbraceError
         If there is no such bag or it isn't one.
     """
-    opened = open_bag(bag)
-    found = None if check else _by_index(opened)
-    if found is None:
-        read = survey(bag)
-        opened, found = read.opened, list(read.topics.values())
-    recorded = recorded_counts(opened.records)
-    counted = [topic for topic in found if topic.count]
-    warnings = opened.warnings
+    opened = Bag(bag)
+    recorded = recorded_contents(opened.metadata)
+    found = recorded if not check and _is_counted(opened, recorded) else opened.raw().contents
+    warnings = list(opened.warnings)
     if opened.uncounted:
-        warnings += [f"{bag}: {missing_messages(topic.channel.topic, topic.numbers)}" for topic in found]
-    sizes = [path.stat().st_size for path in opened.paths]
+        warnings += [f"{bag}: {missing_messages(name, one.numbers)}" for name, one in found.items()]
+    contents = {name: found.get(name, TopicContent()) for name in opened.topics}
+    for name, one in contents.items():
+        one.lost = recorded[name].lost if name in recorded else None
+        if one.numbers is not None:
+            one.gaps, one.missing = one.numbers.gaps, one.numbers.missing
+    times = [(one.first_time or 0, one.last_time or 0) for one in contents.values() if one.messages]
     return BagDescription(
-        topics=tuple(_topic(topic, recorded) for topic in sorted(found, key=lambda topic: topic.channel.topic)),
-        begin=min((topic.first_time for topic in counted), default=0),
-        end=max((topic.last_time for topic in counted), default=0),
-        size=sum(sizes),
-        files=len(sizes),
+        types={name: topic.type_name for name, topic in opened.topics.items()},
+        contents=contents,
+        begin=min((first for first, _ in times), default=0),
+        end=max((last for _, last in times), default=0),
+        size=sum(file.path.stat().st_size for file in opened.files),
+        files=len(opened.files),
         facts=opened.facts,
-        attachments={attachment.name: len(attachment.data) for attachment in opened.attachments},
+        attachments={attachment.name: attachment.size for attachment in opened.attachments},
         warnings=tuple(warnings),
     )
 
 
-def _topic(found: TopicSurvey, recorded: dict[str, RecordedCounts]) -> TopicDescription:
-    span = 1e-9 * (found.last_time - found.first_time)
-    rate = (found.count - 1) / span if span else 0.0
-    name = found.channel.topic
-    numbers = found.numbers if found.numbers is not None and found.numbers.ranges else recorded.get(name)
-    gaps, missing = (None, None) if found.first_number is None or numbers is None else (numbers.gaps, numbers.missing)
-    lost = recorded[name].lost if name in recorded else None
-    return TopicDescription(name, found.channel.type_name, found.count, rate, found.first_number, gaps, missing, lost)
-
-
-def _by_index(opened: OpenedBag) -> list[TopicSurvey] | None:
-    """What the topics have, from the index and the logger's counts; None where these do not say it, or are damaged."""
-    counted = recorded_counts(opened.records)
-    found: dict[str, TopicSurvey] = {}
+def _is_counted(opened: Bag, recorded: dict[str, TopicContent]) -> bool:
+    """Whether the counts `recorded` in a bag are those of all messages that its index names."""
+    counts = dict.fromkeys(opened.topics, 0)
     for file in opened.files:
-        if not isinstance(file, McapFile) or not file.indexed or file.summary is None:
-            return None
+        if not file.indexed or file.summary is None or file.summary.message_counts is None or file.warnings:
+            return False
         for number, channel in file.channels.items():
-            topic = found.setdefault(channel.topic, TopicSurvey(channel))
-            topic.count += (file.summary.message_counts or {}).get(number, 0)
-    for name, topic in found.items():
-        if topic.count:
-            topic.set_edges(*edges(opened, name))
-        # the numbers themselves are in no index: the logger's counts hold if they are of the same messages
-        if topic.numbers is not None and (name not in counted or counted[name].messages != topic.count):
-            return None
-    return None if any(file.warnings for file in opened.files) else list(found.values())
+            counts[channel.name] += file.summary.message_counts.get(number, 0)
+    return {name: one.messages for name, one in recorded.items()} == counts and all(
+        one.first_time is not None for one in recorded.values() if one.messages
+    )

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
-from abrace_core.files import write_atomically
+from abrace_core import AbraceError
+from abrace_core.files.writing import write_atomically
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 _LARGEST_VARIABLE = 2**31
 """Bytes of a variable in a MATLAB file of version 5, which is written as a whole."""
+_CHARACTER, _CELL = 4, 56
+"""Bytes of a character and of an array's head in it."""
 _LONGEST_NAME = 63
 """Characters of a MATLAB name."""
 
@@ -103,15 +105,23 @@ def write_mat(path: Path | str, topics: Mapping[str, TopicArrays], facts: Mappin
 
     structs: dict[str, Any] = {}
     for topic, messages in topics.items():
-        values = _with_times(messages)
-        for name, array in values.items():
-            if array.nbytes >= _LARGEST_VARIABLE:
-                size = f"{array.nbytes / 1e9:.1f} GB, expected less than 2 GB in a MATLAB file"
-                raise AbraceError(f"topic {topic}: {name} has {size}: export a part of the time")
-        _add(structs, topic, _struct(values))
+        values = _struct(_with_times(messages))
+        size = sum(map(_size, values.values()))
+        if size >= _LARGEST_VARIABLE:
+            gigabytes = f"{size / 1e9:.1f} GB, expected less than 2 GB in a MATLAB file"
+            raise AbraceError(f"topic {topic}: has {gigabytes}: export a part of the time")
+        _add(structs, topic, values)
     _add(structs, "facts", _struct(facts))
     with write_atomically(path) as temporary:
         savemat(str(temporary), structs, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
+
+
+def _size(values: Any) -> int:
+    """Bytes of a field as MATLAB has it: of a cell array those of its cells, with what is around each."""
+    if values.dtype != object:
+        return int(values.nbytes)
+    cells = (len(one) * _CHARACTER if isinstance(one, str) else _size(np.asarray(one)) for one in values.flat)
+    return sum(cells) + values.size * _CELL
 
 
 def _with_times(messages: TopicArrays) -> dict[str, NDArray[Any]]:

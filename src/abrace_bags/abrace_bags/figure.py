@@ -4,18 +4,19 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
-from abrace_core.errors import AbraceError
-from abrace_core.signals import load_cell_names, numbered
+from abrace_core import AbraceError
+from abrace_core.figures.chart import COLOURS, Chart, Curve, Panel
+from abrace_core.model.signals import load_cell_names, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from abrace_bags.reader import TopicArrays
@@ -37,7 +38,6 @@ _LARGEST = 1e300
 _NOT_DRAWN = ("header.stamp.sec", "header.stamp.nanosec")
 _LETTERS = {"displacement": "x", "acceleration": "a", "stroke": "xf", "force": "f", "command": "U"}
 """Of the channels of abrace's messages, as the paper names them; one to each floor, group or load cell."""
-_COLOURS = (MEASURED, SIMULATED, "#2a7f62", "#d08c1d", "k", REFERENCE)
 _MOST_NAMED = 12
 """Channels up to which a legend names them."""
 
@@ -65,24 +65,22 @@ def bag_figure(topics: Mapping[str, TopicArrays]) -> Figure:
     ]
     if not panels:
         raise AbraceError(f"topics {', '.join(topics)}: nothing to draw, expected numbers that change")
-    figure = Figure(figsize=(11.0, 1.0 + 1.7 * len(panels)), layout="constrained")
-    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    for axis, (topic, name, values) in zip(axes, panels, strict=True):
-        seconds = 1e-9 * (times[topic] - begin)
-        drawn = np.where(np.abs(values.astype(float)) < _LARGEST, values, np.nan)
-        count = values.shape[1]
-        labels = _labels(topics[topic], name, count)
-        for channel, label, colour in zip(drawn.T, labels, itertools.cycle(_COLOURS), strict=False):
-            axis.plot(seconds, channel, label=label, color=colour, lw=0.7)
-        if 1 < count <= _MOST_NAMED or (count == 1 and name in _LETTERS):
-            axis.legend(loc="upper right", ncols=count, fontsize="small")
+    seconds = {topic: 1e-9 * (time - begin) for topic, time in times.items()}
+    ends = 0.0, max(time[-1] for time in seconds.values() if time.size)
+    rows = []
+    for topic, name, values in panels:
+        drawn = np.where(np.abs(values.astype(float)) < _LARGEST, values, np.nan).T
+        named = 1 < len(drawn) <= _MOST_NAMED or (len(drawn) == 1 and name in _LETTERS)
+        labels = _labels(topics[topic], name, len(drawn)) if named else [""] * len(drawn)
+        curves = tuple(
+            Curve(seconds[topic], channel, label, colour)
+            for channel, label, colour in zip(drawn, labels, itertools.cycle(COLOURS), strict=False)
+        )
         words = name.replace("_", " ")
-        axis.set_title(f"{topic}: {words}" if len(topics) > 1 else words, loc="left", fontsize="small")
-        axis.set_ylabel(f"[{UNITS[name]}]" if name in UNITS else "")
-        axis.grid(alpha=0.3)
-        axis.margins(x=0)
-    axes[-1].set_xlabel("time [s]")
-    return figure
+        title = f"{topic}: {words}" if len(topics) > 1 else words
+        rows.append((Panel(curves, title, "", f"[{UNITS[name]}]" if name in UNITS else "", x_limits=ends),))
+    rows[-1] = (replace(rows[-1][0], x_label="time [s]"),)
+    return Chart(tuple(rows), (11.0, 1.0 + 1.7 * len(rows))).figure()
 
 
 def _quantities(messages: TopicArrays) -> dict[str, NDArray[Any]]:

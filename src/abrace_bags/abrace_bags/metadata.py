@@ -3,95 +3,75 @@
 
 from __future__ import annotations
 
+import os
 import platform
-from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from abrace_bags.mcap.records import LATEST_TIME
+from abrace_core import __version__
+
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
+
+    from abrace_bags.mcap.file_writer import WrittenTopic
 
 METADATA_FILE = "metadata.yaml"
 
 _METADATA_VERSION = 9
 _ROS_DISTRO = "jazzy"
-_LATEST = 2**63 - 1
-_VERSIONS_OF = ("abrace_core", "abrace_interfaces", "mcap", "numpy", "rclpy")
+"""That of the wheels, with which no ROS_DISTRO is set."""
+_VERSIONS_OF = ("abrace_interfaces", "mcap", "numpy", "rclpy")
 
 
-@dataclass
-class FileSpan:
-    """What one file of a bag holds.
-
-    Parameters
-    ----------
-    name
-        Of the file, without its folder.
-    first_time, last_time
-        Earliest and latest time of arrival [ns].
-    counts
-        Messages by topic number.
-    """
-
-    name: str
-    first_time: int = _LATEST
-    last_time: int = 0
-    counts: dict[int, int] = field(default_factory=dict)
-
-    @property
-    def count(self) -> int:
-        """Messages in the file."""
-        return sum(self.counts.values())
-
-
-def bag_information(
-    topics: Mapping[int, Mapping[str, Any]], files: Sequence[FileSpan], facts: Mapping[str, str]
-) -> dict[str, Any]:
-    """A bag's description with the keys of rosbag2's metadata.yaml.
-
-    Parameters
-    ----------
-    topics
-        `topic_metadata` by topic number.
-    files
-        All files of the bag, or the one that is to be described by itself.
-    facts
-        Facts of the run.
-    """
-    start, duration = _span(files)
+def time_span(first: int, last: int) -> dict[str, dict[str, int]]:
+    """Beginning and duration of what has these `first` and `last` log times [ns], as rosbag2 writes them."""
     return {
-        "version": _METADATA_VERSION,
-        "storage_identifier": "mcap",
-        "duration": duration,
-        "starting_time": start,
-        "message_count": sum(file.count for file in files),
-        "topics_with_message_count": [
-            {"topic_metadata": dict(topic), "message_count": sum(file.counts.get(number, 0) for file in files)}
-            for number, topic in topics.items()
-        ],
-        "compression_format": "",
-        "compression_mode": "",
-        "relative_file_paths": [file.name for file in files],
-        "files": [_file(file) for file in files],
-        "custom_data": dict(facts) or None,
-        "ros_distro": _ROS_DISTRO,
+        "starting_time": {"nanoseconds_since_epoch": first},
+        "duration": {"nanoseconds": max(last - first, 0)},
     }
 
 
-def _file(file: FileSpan) -> dict[str, Any]:
-    start, duration = _span([file])
-    return {"path": file.name, "starting_time": start, "duration": duration, "message_count": file.count}
+def bag_information(
+    topics: Collection[WrittenTopic], files: Sequence[Mapping[str, Any]], facts: Mapping[str, str]
+) -> dict[str, Any]:
+    """The content of metadata.yaml: of a bag with these `topics`, these entries of its `files`, the run's `facts`."""
+    spans = [one.content for one in topics if one.content.messages]
+    return {
+        "rosbag2_bagfile_information": {
+            "version": _METADATA_VERSION,
+            "storage_identifier": "mcap",
+            **time_span(
+                min((one.first_time or 0 for one in spans), default=LATEST_TIME),
+                max((one.last_time or 0 for one in spans), default=0),
+            ),
+            "message_count": sum(one.messages for one in spans),
+            "topics_with_message_count": [
+                {
+                    "topic_metadata": {
+                        "name": one.channel.topic,
+                        "type": one.schema.name,
+                        "serialization_format": one.channel.message_encoding,
+                        "offered_qos_profiles": one.profiles,
+                        "type_description_hash": one.channel.metadata["topic_type_hash"],
+                    },
+                    "message_count": one.content.messages,
+                }
+                for one in topics
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [file["path"] for file in files],
+            "files": list(files),
+            "custom_data": dict(facts) or None,
+            "ros_distro": os.environ.get("ROS_DISTRO", _ROS_DISTRO),
+        }
+    }
 
 
-def _span(files: Sequence[FileSpan]) -> tuple[dict[str, int], dict[str, int]]:
-    first = min(file.first_time for file in files)
-    last = max(file.last_time for file in files)
-    return {"nanoseconds_since_epoch": first}, {"nanoseconds": max(last - first, 0)}
-
-
-class _Dumper(yaml.SafeDumper):
+class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
     """YAML without anchors, which rosbag2 doesn't write."""
 
     def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002
@@ -111,7 +91,7 @@ def yaml_text(content: Any) -> str:
 
 def installed_versions() -> dict[str, str]:
     """Versions of Python and of the installed packages that a bag depends on."""
-    found = {"python": platform.python_version()}
+    found = {"python": platform.python_version(), "abrace_core": __version__}
     for package in _VERSIONS_OF:
         for name in (package, f"ros-jazzy-{package}"):
             try:

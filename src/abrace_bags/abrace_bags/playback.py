@@ -7,66 +7,65 @@ bit: the law of Eq. (13) has no other input.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rosbags.interfaces import QosDurability
 
+from abrace_bags.bag import Bag
 from abrace_bags.definitions import message_definition
-from abrace_bags.raw import read_raw
-from abrace_core.errors import AbraceError
-from abrace_core.wire import BraceCommands, Responses
+from abrace_bags.run import RESPONSE_TYPE
+from abrace_core import AbraceError
+from abrace_core.safety.wire import BraceCommands, Responses
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
     from rosbags.interfaces import Qos
 
-    from abrace_bags.mcap.index import RecordedChannel
-    from abrace_bags.raw import RawBag, RecordedTopic
-    from abrace_bags.survey import RawMessage
+    from abrace_bags.raw import RawMessage, RawMessages
+    from abrace_bags.topics import RecordedTopic
 
-RESPONSE_TYPE = "abrace_interfaces/msg/Response"
 COMMAND_TYPE = "abrace_interfaces/msg/BraceCommand"
 COMMAND_TOPIC = "brace_command"
 RIG_INPUTS = (COMMAND_TOPIC, "ground_motion", "emergency_stop")
 """Last parts of the names of topics that move a rig, or that end its emergency stop."""
-CLOCK = "/clock"
-_CLOCK_END = 2**31 * 10**9
-"""The seconds of a Clock message have 31 bits [ns]."""
 
 
-def bag_to_replay(bag: str, topics: Collection[str], start_offset: float, duration: float) -> RawBag:
-    """The messages of a `bag` to replay, as `read_raw` has them.
+def bag_to_replay(bag: str, topics: Collection[str], start_offset: float, duration: float) -> RawMessages:
+    """The messages of a `bag` to replay, as `Bag.raw` has them.
 
     Without `topics` the inputs of a rig are left out, with a warning, so that a rig is not moved by accident. So are
-    hidden topics, those of actions and services.
+    hidden topics, those of actions and services. `start_offset` and `duration` [s] are as for `Bag.time_range`.
 
     Raises
     ------
     AbraceError
-        As `read_raw`, or if there is no message.
+        As `Bag.raw`, or if there is no message.
     """
-    inputs: set[str] = set()
-    hidden: set[str] = set()
-
-    def refuses(channel: RecordedChannel) -> bool:
-        name = channel.topic
-        if topics:
-            return False
-        if channel.type_name == COMMAND_TYPE or name.rpartition("/")[2] in RIG_INPUTS:
-            inputs.add(name)
+    opened = Bag(bag)
+    inputs, hidden, chosen = [], [], list(topics)
+    for name, topic in opened.topics.items() if not topics else ():
+        if topic.type_name == COMMAND_TYPE or name.rpartition("/")[2] in RIG_INPUTS:
+            inputs.append(name)
         elif "/_" in name:
-            hidden.add(name)
-        return name in inputs or name in hidden
-
-    found = read_raw(bag, topics, start_offset, duration, refuses)
-    for left_out, why in ((inputs, "they command a rig"), (hidden, "they are hidden")):
-        if left_out:
-            warning = f"{', '.join(sorted(left_out))} left out: {why} (parameter topics replays them by name)"
-            found = replace(found, warnings=(*found.warnings, warning))
+            hidden.append(name)
+        elif topic.message_encoding == "cdr":
+            chosen.append(name)
+    left_out = ((inputs, "they command a rig"), (hidden, "they are hidden"))
+    warnings = [
+        f"{', '.join(names)} left out: {why} (parameter topics replays them by name)"
+        for names, why in left_out
+        if names
+    ]
+    if not chosen:
+        raise AbraceError(
+            f"bag {bag}: {'; '.join(['there is no message on the topics to replay', *opened.warnings, *warnings])}"
+        )
+    found = opened.raw(chosen, *opened.time_range(start_offset, duration, chosen))
+    found.warnings = (*found.warnings, *warnings)
     if not found.count:
-        why = "; ".join(["there is no message on the topics to replay", *found.warnings])
+        part = f" from {start_offset:g} s to {start_offset + duration:g} s" if duration else ""
+        why = "; ".join([f"there is no message on the topics to replay{part}", *found.warnings])
         raise AbraceError(f"bag {bag}: {why}")
     return found
 
@@ -90,21 +89,7 @@ def check_type(topic: RecordedTopic) -> None:
         )
 
 
-def check_clock(name: str, bag: RawBag) -> None:
-    """Check that the time of a `bag` of this `name` can be published on /clock when it is replayed.
-
-    Raises
-    ------
-    AbraceError
-        If /clock is one of the topics, or a Clock message can't hold the messages' times.
-    """
-    if CLOCK in bag.topics:
-        raise AbraceError(f"parameter clock: {CLOCK} of the bag is replayed, expected only one of the two")
-    if not 0 <= bag.first <= bag.last < _CLOCK_END:
-        raise AbraceError(f"parameter clock: /clock can't have the times of {name}, expected 1970 to 2038")
-
-
-def response_topic(bag: RawBag) -> str:
+def response_topic(bag: RawMessages) -> str:
     """The topic of a `bag` whose samples are answered in lockstep.
 
     Raises
@@ -124,7 +109,7 @@ def response_topic(bag: RawBag) -> str:
             f"parameter lockstep: {answers} answers {found[0]} and can't be replayed as well, "
             "expected topics without it (parameter topics)"
         )
-    if not bag.counts.get(found[0]):
+    if not bag.contents[found[0]].messages:
         raise AbraceError(f"parameter lockstep: no message of {found[0]} in the part to replay, expected some")
     return found[0]
 
@@ -145,42 +130,23 @@ def replayed_qos(recorded: Qos, least_depth: int) -> Qos:
 
 
 class BagPlayback:
-    """Plays messages one after the other: each when it is due by a clock, or at once while the clock is stopped.
-
-    The clock is stopped at first.
+    """Plays messages one after the other.
 
     Parameters
     ----------
     bag
-        Has at least one message.
+        The messages.
     rate
         Bag time over time.
-    loop
-        Whether to begin again at the end.
-
-    Raises
-    ------
-    AbraceError
-        If all are of one time and are to be played again and again.
     """
 
-    def __init__(self, bag: RawBag, rate: float, loop: bool) -> None:
+    def __init__(self, bag: RawMessages, rate: float) -> None:
         self._bag = bag
         self._rate = rate
-        self._loop = loop
-        span = bag.last - bag.first
-        if loop and not span:
-            raise AbraceError("parameter loop: all messages to replay have the same time, expected later ones too")
-        # a round lasts one mean interval longer than its messages: its last one and the first of the next are apart
-        self._round = span + round(span / max(bag.count - 1, 1))
-        self._messages = bag.read()
+        self._messages = iter(bag)
         self._next = next(self._messages, None)
-        self._position = 0
-        self._bag_time = bag.first
-        self._clock_time = 0.0
-        self._running = False
         self.played = 0
-        """Messages played, in all rounds."""
+        """Messages played."""
 
     @property
     def ended(self) -> bool:
@@ -189,54 +155,20 @@ class BagPlayback:
 
     @property
     def fraction(self) -> float:
-        """How much of the messages of this round has been played."""
-        return self._position / max(self._bag.count, 1)
+        """How much of the messages has been played."""
+        return self.played / max(self._bag.count, 1)
 
-    @property
-    def due(self) -> float | None:
-        """When the next message is due [s]; None: while the clock is stopped, and after the last message."""
-        if not self._running or self._next is None:
-            return None
-        return self._clock_time + (self._next.log_time - self._bag_time) * 1e-9 / self._rate
-
-    def bag_time(self, now: float) -> int:
-        """The time of the bag [ns] at `now` [s], within that of its messages."""
-        time = self._bag_time
-        if self._running:
-            time += round((now - self._clock_time) * 1e9 * self._rate)
-        return max(self._bag.first, min(time, self._bag.last))
-
-    def start_clock(self, now: float) -> None:
-        """Start the clock where it was stopped; `now` in seconds."""
-        if not self._running:
-            self._clock_time = now
-            self._running = True
-
-    def stop_clock(self, now: float) -> None:
-        """Stop the clock; `now` in seconds."""
-        if self._running:
-            self._bag_time = self.bag_time(now)
-            self._running = False
+    def due(self, began: float) -> float | None:
+        """When the next message is due [s], where the first was at `began` [s]; None: after the last one."""
+        return None if self._next is None else began + (self._next.log_time - self._bag.first) * 1e-9 / self._rate
 
     def next_message(self) -> RawMessage:
-        """Play the next message, which is due; there is one."""
+        """Play the next message, of which there is one."""
         message = self._next
         assert message is not None
         self._next = next(self._messages, None)
-        self._position += 1
         self.played += 1
-        if self._loop and self.ended:
-            self._messages = self._bag.read()
-            self._next = next(self._messages)
-            self._position = 0
-            self._bag_time -= self._round
         return message
-
-    def step(self) -> RawMessage:
-        """Play the next message while the clock is stopped, and set the clock to its time, but never back."""
-        if self._next is not None:
-            self._bag_time = max(self._bag_time, self._next.log_time)
-        return self.next_message()
 
 
 class Answers:
@@ -257,7 +189,7 @@ class Answers:
             If the sample can't be read.
         """
         while self.missing is None and not playback.ended:
-            message = playback.step()
+            message = playback.next_message()
             if message.topic == self._topic:
                 self.missing = self._responses.unpack(message.payload)[1].sequence
             yield message

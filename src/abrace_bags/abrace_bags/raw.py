@@ -1,152 +1,142 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag's serialised messages in the order of their log times, as `replay` publishes them."""
+"""Serialised messages of a bag of any length: a first pass finds what is there, a second gives the messages.
+
+Replay, recovery, export to CSV and the description of a bag are based on this. No more than some chunks are in memory.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING
+from array import array
+from bisect import bisect_left
+from typing import TYPE_CHECKING, NamedTuple
 
-from abrace_bags.qos import combined_qos, parse_qos
-from abrace_bags.survey import RawMessage, Survey, no_message, survey, time_range
-from abrace_core.errors import AbraceError
+import numpy as np
+
+from abrace_bags.mcap.contents import TopicContent
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
-    from rosbags.interfaces import Qos
-
-    from abrace_bags.mcap.index import RecordedChannel
-
-
-@dataclass(frozen=True)
-class RecordedTopic:
-    """A topic of a bag.
-
-    Parameters
-    ----------
-    name
-        As `/response`.
-    type_name
-        As `abrace_interfaces/msg/Response`.
-    type_hash
-        RIHS01 hash of the type as it was recorded; empty where the bag does not say.
-    qos
-        What its publishers offered, combined into one.
-    """
-
-    name: str
-    type_name: str
-    type_hash: str
-    qos: Qos
+    from abrace_bags.mcap.bag_file import BagFile
+    from abrace_bags.mcap.chunk import Messages
+    from abrace_bags.topics import RecordedTopic, Selection
 
 
-@dataclass(frozen=True)
-class RawBag:
-    """Topics of a bag, or of a part of its time, and their messages.
+class RawMessage(NamedTuple):
+    """A message: topic, serialised bytes, and when it was logged and published [ns]."""
 
-    Parameters
+    topic: str
+    payload: bytes
+    log_time: int
+    publish_time: int
+
+
+class RawMessages:
+    """The messages of a `selection` in the `files` of a bag. Iterating gives them in the order of their log times.
+
+    Those of one time come in the order in which they were written; a log time never steps back. Each iteration begins
+    anew.
+
+    Attributes
     ----------
     topics
-        By name.
-    read
-        Gives the messages from the first one on, in the order of their log times, those of one time in the order in
-        which they were written; a log time never steps back.
-    counts
-        Messages by topic.
+        By name; also those that have no message in that time.
+    contents
+        By the name of each topic: how many messages, their times and numbers.
     first, last
         Log times of the first and the last message [ns]; both 0 without a message.
+    set_back
+        Whether the clock was set back during the recording: messages then come in the order of the file.
     warnings
         What is missing or can't be trusted, one sentence each.
     """
 
-    topics: dict[str, RecordedTopic]
-    read: Callable[[], Iterator[RawMessage]]
-    counts: dict[str, int]
-    first: int
-    last: int
-    warnings: tuple[str, ...]
+    def __init__(self, files: Sequence[BagFile], selection: Selection) -> None:
+        self._files, self._selection = files, selection
+        self._places: list[tuple[array[int], array[int]]] = []
+        self.topics: dict[str, RecordedTopic] = selection.topics
+        self.contents: dict[str, TopicContent] = {}
+        self.set_back = False
+        self.warnings: tuple[str, ...] = ()
+        for file in files:
+            self._go_through(file)
+        edges = [(one.first_time or 0, one.last_time or 0) for one in self.contents.values() if one.messages]
+        self.first, self.last = min((one for one, _ in edges), default=0), max((one for _, one in edges), default=0)
+        if self.set_back:
+            self.first = next(iter(self)).log_time
+            self.last = max(message.log_time for message in self)
 
     @property
     def count(self) -> int:
         """Messages."""
-        return sum(self.counts.values())
+        return sum(content.messages for content in self.contents.values())
 
+    def __iter__(self) -> Iterator[RawMessage]:
+        return continuous(self.as_written()) if self.set_back else self._by_time()
 
-def read_raw(
-    bag: Path | str,
-    topics: Collection[str] = (),
-    start_offset: float = 0.0,
-    duration: float = 0.0,
-    refuses: Callable[[RecordedChannel], bool] = lambda _: False,
-) -> RawBag:
-    """Find the raw messages of a bag, which are then read chunk by chunk.
+    def as_written(self) -> Iterator[RawMessage]:
+        """All messages in the order in which they were written."""
+        for file, (offsets, _) in zip(self._files, self._places, strict=True):
+            for messages in file.chunks_at(offsets, self._selection):
+                yield from self._raw(file, messages)
 
-    Parameters
-    ----------
-    bag
-        A bag directory or a single file.
-    topics
-        Names of the topics to read, each whole (`/demo/response`) or the end of one (`response`); all when empty.
-    start_offset
-        Where the part to read begins [s], counted from the first message of these topics.
-    duration
-        Its length [s]; 0: to the end.
-    refuses
-        Whether to leave out a channel.
+    def _go_through(self, file: BagFile) -> None:
+        offsets, times = array("Q"), array("q")
+        self._places.append((offsets, times))
+        deferred = []
+        for messages in file.chunks(self._selection):
+            if not messages.begins.size:
+                continue
+            offsets.append(messages.offset)
+            times.append(int(messages.log_time.min()))
+            if np.isin(messages.channel_ids, list(file.channels)).all():
+                self._add(file, messages)
+            else:  # in a damaged file, whose first chunk described their channels
+                deferred.append(messages.offset)
+        for messages in file.chunks_at(deferred, self._selection):
+            self._add(file, messages)
+        for channel in file.channels.values():
+            if self._selection.accepts(channel):
+                self._content(channel)
 
-    Raises
-    ------
-    AbraceError
-        If there is no such bag, it isn't one, it has no message in that part, or a name of `topics` is not in it or
-        matches several.
-    """
-    path = Path(bag)
+    def _content(self, channel: RecordedTopic) -> TopicContent:
+        if channel.name not in self.contents:
+            self.contents[channel.name] = TopicContent.of(channel.definition)
+        return self.contents[channel.name]
 
-    def accepts(channel: RecordedChannel) -> bool:
-        asked = not topics or any(channel.topic == one or _is_end_of(one, channel.topic) for one in topics)
-        return asked and not refuses(channel)
+    def _add(self, file: BagFile, messages: Messages) -> None:
+        for channel_id, some in messages.by_channel():
+            channel = file.channels.get(channel_id)
+            if channel is not None and self._selection.accepts(channel):
+                self.set_back |= self._content(channel).read(some)
 
-    begin, end = time_range(path, accepts, start_offset, duration)
-    found = survey(path, accepts, begin, end)
-    channels = [channel for file in found.opened.files for channel in file.channels.values()]
-    choose_topics(bag, (channel.topic for channel in channels), topics)
-    recorded: dict[str, RecordedTopic] = {}
-    for channel in filter(accepts, channels):
-        if channel.message_encoding != "cdr":
-            written = f"is written as {channel.message_encoding!r}, expected 'cdr'"
-            raise AbraceError(f"{bag}: topic {channel.topic} {written}")
-        metadata = channel.metadata
-        qos = _offered_qos(path, channel.topic, metadata.get("offered_qos_profiles", ""))
-        _add(path, recorded, RecordedTopic(channel.topic, channel.type_name, metadata.get("topic_type_hash", ""), qos))
-    counts = {name: topic.count for name, topic in found.topics.items()}
-    if begin is not None and not any(counts.values()):
-        whole = survey(path, accepts)
-        span = max(one.last_time for one in whole.topics.values()) - min(
-            one.first_time for one in whole.topics.values() if one.count
+    def _by_time(self) -> Iterator[RawMessage]:
+        """A chunk is read when its first message is due: only those are in memory that overlap."""
+        places = sorted(
+            (start, number, offset)
+            for number, (offsets, starts) in enumerate(self._places)
+            for offset, start in zip(offsets, starts, strict=True)
         )
-        raise no_message(bag, start_offset, duration, span)
-    return _raw_bag(path, recorded, found, counts)
+        waiting: list[tuple[int, int, int, RawMessage]] = []
+        for place, (start, number, offset) in enumerate(places):
+            due = bisect_left(waiting, (start,))
+            if due:
+                yield from [message for _, _, _, message in waiting[:due]]
+                del waiting[:due]
+            file = self._files[number]
+            for messages in file.chunks_at([offset], self._selection):
+                waiting += [(one.log_time, place, k, one) for k, one in enumerate(self._raw(file, messages))]
+            waiting.sort()
+        yield from [message for _, _, _, message in waiting]
 
-
-def _raw_bag(bag: Path, recorded: dict[str, RecordedTopic], found: Survey, counts: dict[str, int]) -> RawBag:
-    warnings = found.opened.warnings
-    if found.set_back:
-        warnings.append(f"{bag}: the clock was set back during the recording: messages come in the order of the file")
-
-        def read() -> Iterator[RawMessage]:
-            return continuous(found.messages())
-
-        first = next(read()).log_time
-        last = max(message.log_time for message in read())
-        return RawBag(recorded, read, counts, first, last, tuple(warnings))
-    times = [time for topic in found.topics.values() if topic.count for time in (topic.first_time, topic.last_time)]
-    warnings += [
-        f"{bag}: the times of {name} step back, its messages come in the order of their times"
-        for name, topic in found.topics.items()
-        if topic.steps_back
-    ]
-    return RawBag(recorded, found.messages, counts, min(times, default=0), max(times, default=0), tuple(warnings))
+    def _raw(self, file: BagFile, messages: Messages) -> list[RawMessage]:
+        """The `messages` of a chunk of a `file`, one by one."""
+        known = {number: one.name for number, one in file.channels.items() if self._selection.accepts(one)}
+        wanted = np.isin(messages.channel_ids, list(known))
+        messages = messages if wanted.all() else messages.chosen(wanted)
+        topics = [known[number] for number in messages.channel_ids.tolist()]
+        times = messages.log_time.tolist(), messages.publish_time.tolist()
+        return list(map(RawMessage, topics, messages.payloads(), *times))
 
 
 def continuous(messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
@@ -157,55 +147,3 @@ def continuous(messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
             shift = last - message.log_time
         last = message.log_time + shift
         yield message._replace(log_time=last)
-
-
-def choose_topics(bag: Path | str, names: Iterable[str], asked: Collection[str]) -> set[str]:
-    """Names of a bag's topics that are asked for.
-
-    Parameters
-    ----------
-    bag
-        For the error message.
-    names
-        Of the bag's topics.
-    asked
-        Whole names or ends of names; all when empty.
-
-    Raises
-    ------
-    AbraceError
-        If a name is not among them or matches several.
-    """
-    names = sorted(set(names))
-    chosen = set(names if not asked else ())
-    for one in asked:
-        matching = [one] if one in names else [name for name in names if _is_end_of(one, name)]
-        if len(matching) > 1:
-            raise AbraceError(f"{bag}: topic {one} matches {', '.join(matching)}, name one of them")
-        if not matching:
-            raise AbraceError(f"{bag}: no topic {one} in it, it has {', '.join(names) or 'none'}")
-        chosen.update(matching)
-    return chosen
-
-
-def _is_end_of(asked: str, name: str) -> bool:
-    return not asked.startswith("/") and name.endswith(f"/{asked}")
-
-
-def _offered_qos(bag: Path, topic: str, offers: str) -> Qos:
-    try:
-        return combined_qos(parse_qos(offers))
-    except AbraceError as error:
-        raise AbraceError(f"{bag}: topic {topic}: {error}") from error
-
-
-def _add(bag: Path, topics: dict[str, RecordedTopic], found: RecordedTopic) -> None:
-    """Put a topic among those that were found; several files or channels may have it, of one type."""
-    known = topics.get(found.name, found)
-    if known.type_name != found.type_name:
-        raise AbraceError(f"{bag}: topic {found.name} has the types {known.type_name} and {found.type_name}")
-    if known.type_hash and found.type_hash not in ("", known.type_hash):
-        hashes = f"{known.type_hash} and as {found.type_hash}"
-        raise AbraceError(f"{bag}: topic {found.name}: {found.type_name} was recorded as {hashes}")
-    qos = combined_qos([known.qos, found.qos])
-    topics[found.name] = replace(known, type_hash=known.type_hash or found.type_hash, qos=qos)

@@ -10,27 +10,36 @@ from typing import TYPE_CHECKING, Any
 
 from mcap.records import Channel, Schema
 
-from abrace_bags.losses import COUNTS_RECORD, TopicCounts, counts_record, is_numbered, sequence_number
-from abrace_bags.mcap.chunk_writer import compressor
-from abrace_bags.mcap.file_writer import McapWriter
-from abrace_bags.mcap.records import CHECKSUM_KEY, FACTS_RECORD, facts_checksum
-from abrace_bags.metadata import METADATA_FILE, FileSpan, bag_information, yaml_text
+from abrace_bags.mcap.contents import COUNTS_RECORD, TopicContent, counts_record
+from abrace_bags.mcap.file_writer import McapWriter, WrittenTopic
+from abrace_bags.mcap.records import (
+    CHECKSUM_KEY,
+    FACTS_RECORD,
+    LARGEST_MESSAGE,
+    LARGEST_TEXTS,
+    LATEST_TIME,
+    facts_checksum,
+    record_bytes,
+)
+from abrace_bags.metadata import METADATA_FILE, bag_information, time_span, yaml_text
 from abrace_bags.qos import DEFAULT_QOS, in_words
-from abrace_core.errors import AbraceError
-from abrace_core.files import make_folder, write_text
+from abrace_core import AbraceError
+from abrace_core.files.writing import make_folder, write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping
     from types import TracebackType
     from typing import Self
 
     from mcap.records import Attachment
     from rosbags.interfaces import Qos
 
-ROSBAG2_RECORD = "rosbag2"
-"""Name of the metadata record with the content of metadata.yaml, for rosbag2."""
-WRITTEN_RECORDS = (FACTS_RECORD, ROSBAG2_RECORD, COUNTS_RECORD)
+WRITTEN_RECORDS = (FACTS_RECORD, COUNTS_RECORD)
 """Names of the metadata records that every bag has."""
+INDEX_MEMORY = 64 * 1024 * 1024
+"""Bytes of a file's index, which stay in memory until the file ends, after which the next file begins in any case: some
+18 hours at ten flushes a second."""
+_NEVER = 2**64
 
 
 class BagWriter:
@@ -39,6 +48,8 @@ class BagWriter:
     Everything up to the last `flush` is readable after the process was killed, everything up to the last `sync` after a
     power loss, without `metadata.yaml`: that is written by `close`, and when a file can't be written. Leaving a `with`
     block closes the bag. MCAP's sequence number of a message counts those of its topic from 1, over all files.
+
+    What readers would take for damaged is refused with an AbraceError, and changes nothing.
 
     Parameters
     ----------
@@ -50,17 +61,16 @@ class BagWriter:
         Further metadata records by name, texts by key: versions, parameters.
     attachments
         Files of the run (`file_attachments`), for the first file.
-    compression
-        Of the chunks: `zstd`, `lz4` or `none`.
     split_size
-        Bytes of messages, as compressed, after which the next file begins; 0: never.
+        Bytes of messages, as compressed, after which the next file begins; 0: at `INDEX_MEMORY`.
     split_duration
         Seconds after which the next file begins; 0: never.
 
     Raises
     ------
     AbraceError
-        If the compression is unknown, or the directory exists already or can't be made.
+        If facts or records are no texts, a record or an attachment is too large, or the directory exists already or
+        can't be made.
     """
 
     def __init__(
@@ -69,24 +79,23 @@ class BagWriter:
         facts: Mapping[str, str],
         *,
         records: Mapping[str, Mapping[str, str]] | None = None,
-        attachments: Sequence[Attachment] = (),
-        compression: str = "zstd",
+        attachments: Iterable[Attachment] = (),
         split_size: int = 0,
         split_duration: float = 0.0,
     ) -> None:
-        if CHECKSUM_KEY in facts:
-            raise AbraceError(f"a run's facts can't have the name {CHECKSUM_KEY!r}")
         self.directory = Path(directory)
-        self._facts = dict(facts)
-        self._records = dict(records or {})
-        self._compressor = compressor(compression)
-        self._split_size = split_size
-        self._split_duration = round(split_duration * 1e9)
-        self._schemas: dict[tuple[str, str], Schema] = {}
-        self._channels: list[Channel] = []
-        self._topics: dict[int, dict[str, Any]] = {}
-        self._counts: dict[int, TopicCounts] = {}
-        self._files: list[FileSpan] = []
+        self._facts = self._texts("fact", facts)
+        self._records = {name: self._texts(f"record {name}:", texts) for name, texts in (records or {}).items()}
+        if taken := self._records.keys() & set(WRITTEN_RECORDS):
+            raise self._error(f"record {min(taken)}: every bag has one of this name, expected another name")
+        if CHECKSUM_KEY in facts:
+            raise self._error(f"fact {CHECKSUM_KEY}: it is written with the facts, expected another name")
+        self._split_size = split_size or _NEVER
+        self._split_duration = round(split_duration * 1e9) or _NEVER
+        self._schemas: dict[tuple[str, str, str], Schema] = {}
+        self._topics: dict[int, WrittenTopic] = {}
+        self._room = LARGEST_TEXTS
+        self._files: list[dict[str, Any]] = []
         self._closed = False
         try:
             make_folder(self.directory, new=True)
@@ -95,7 +104,7 @@ class BagWriter:
         except OSError as error:
             raise self._failure(error) from error
         try:
-            self._open_file(attachments)
+            self._open_file(map(self._checked, attachments))
         except BaseException:
             shutil.rmtree(self.directory, ignore_errors=True)
             raise
@@ -108,7 +117,16 @@ class BagWriter:
     ) -> None:
         self.close()
 
-    def add_topic(self, name: str, type_name: str, definition_text: str, type_hash: str, *qos: Qos) -> int:
+    def add_topic(
+        self,
+        name: str,
+        type_name: str,
+        definition_text: str,
+        type_hash: str,
+        *qos: Qos,
+        encoding: str = "ros2msg",
+        message_encoding: str = "cdr",
+    ) -> int:
         """Announce a topic.
 
         Parameters
@@ -121,6 +139,11 @@ class BagWriter:
             As `message_definition` finds them.
         qos
             Of each of its publishers; `DEFAULT_QOS` if none is given.
+        encoding
+            How the definition is written: `ros2msg` or `ros2idl`. One that is no text has its bytes as Python's
+            `surrogateescape` has them.
+        message_encoding
+            How the messages are serialised.
 
         Returns
         -------
@@ -130,37 +153,39 @@ class BagWriter:
         Raises
         ------
         AbraceError
-            If the topic is in the bag already, or the bag is closed.
+            If the topic is in the bag already, something of it is no text, there are too many topics, or the bag is
+            closed.
         """
         self._check_open()
-        if any(topic["name"] == name for topic in self._topics.values()):
-            raise AbraceError(f"bag {self.directory}: topic {name} is in it already")
+        for text in (name, type_name, type_hash):
+            self._check_text(f"topic {name!r}", text)
+        definition = self._check_text(f"topic {name!r}", definition_text, "surrogateescape")
+        if any(topic.channel.topic == name for topic in self._topics.values()):
+            raise self._error(f"topic {name} is in it already")
+        described = type_name, definition_text, encoding
+        schema = self._schemas.get(described)
+        new = schema is None
+        schema = schema or Schema(id=len(self._schemas) + 1, name=type_name, encoding=encoding, data=definition)
         profiles = [in_words(profile) for profile in qos or (DEFAULT_QOS,)]
-        described = type_name, definition_text
-        if described not in self._schemas:
-            schema = Schema(
-                id=len(self._schemas) + 1, name=type_name, encoding="ros2msg", data=definition_text.encode()
-            )
-            self._schemas[described] = schema
-            self._file.add_schema(schema)
-        topic_id = len(self._channels) + 1
+        topic_id = len(self._topics) + 1
         channel = Channel(
             id=topic_id,
             topic=name,
-            message_encoding="cdr",
-            schema_id=self._schemas[described].id,
+            message_encoding=message_encoding,
+            schema_id=schema.id,
             metadata={"offered_qos_profiles": yaml_text(profiles).rstrip(), "topic_type_hash": type_hash},
         )
-        self._channels.append(channel)
-        self._file.add_channel(channel)
-        self._counts[topic_id] = TopicCounts(is_numbered(definition_text))
-        self._topics[topic_id] = {
-            "name": name,
-            "type": type_name,
-            "serialization_format": "cdr",
-            "offered_qos_profiles": profiles,
-            "type_description_hash": type_hash,
-        }
+        taken = len(record_bytes(channel)) + (len(record_bytes(schema)) if new else 0)
+        if taken > self._room:
+            raise self._error(f"topic {name}: the descriptions of all topics are too large for a bag")
+        self._room -= taken
+        self._topics[topic_id] = WrittenTopic(
+            schema=schema, channel=channel, profiles=profiles, content=TopicContent.of(definition_text)
+        )
+        if new:
+            self._schemas[described] = schema
+            self._file.describe(schema)
+        self._file.describe(channel)
         return topic_id
 
     def write(self, topic_id: int, payload: bytes, log_time_ns: int, publish_time_ns: int) -> None:
@@ -173,39 +198,31 @@ class BagWriter:
         payload
             The serialised message.
         log_time_ns, publish_time_ns
-            When it was received and when it was published [ns].
+            When it was received and when it was published [ns], from 0 to 2^63 - 1.
 
         Raises
         ------
         AbraceError
-            If a time is negative, the bag is closed, or the file can't be written: the bag is then closed as it is.
+            If the message can't be in a bag, or the bag is closed; or if the file can't be written: the bag is then
+            closed as it is.
         """
         if self._closed:
             self._check_open()
-        if log_time_ns < 0 or publish_time_ns < 0:
-            times = f"message at {log_time_ns} ns, published at {publish_time_ns} ns"
-            raise AbraceError(f"bag {self.directory}: {times}, expected 0 or more")
-        if self._full(log_time_ns):
-            self.split()
-        counts, span = self._counts[topic_id], self._span
-        full = self._file.add_message(topic_id, counts.messages + 1, payload, log_time_ns, publish_time_ns)
-        counts.messages += 1
-        if counts.numbered:
-            counts.add(sequence_number(payload))
-        span.counts[topic_id] = span.counts.get(topic_id, 0) + 1
-        if log_time_ns > span.last_time:
-            span.last_time = log_time_ns
-        if log_time_ns < span.first_time:
-            span.first_time = log_time_ns
-        if full:
+        topic = self._topics.get(topic_id)
+        if (
+            topic is None
+            or not isinstance(payload, bytes)
+            or len(payload) > LARGEST_MESSAGE
+            or not 0 <= log_time_ns <= LATEST_TIME
+            or not 0 <= publish_time_ns <= LATEST_TIME
+        ):
+            raise self._refusal(topic, topic_id, payload, log_time_ns, publish_time_ns)
+        if log_time_ns >= self._end_time or self._file.size >= self._end_size:
+            self._next_file(log_time_ns)
+        if self._file.add_message(topic, payload, log_time_ns, publish_time_ns):
             self.flush()
 
-    def interrupt(self) -> None:
-        """Count no gap of `sequence` before the next message of each topic: those before it are not to be recorded."""
-        for counts in self._counts.values():
-            counts.restart()
-
-    def add_lost(self, topic_id: int, lost: int) -> None:
+    def add_lost(self, topic_id: int, lost: int | None) -> None:
         """Count messages as lost.
 
         Parameters
@@ -213,13 +230,21 @@ class BagWriter:
         topic_id
             From `add_topic`.
         lost
-            How many more of its messages were published and did not come to `write`.
-        """
-        self._counts[topic_id].lost += lost
+            How many more of its messages were published and did not come to `write`; None: nobody knows.
 
-    def counts(self) -> dict[str, TopicCounts]:
-        """Messages, gaps and losses until now, by topic."""
-        return {topic["name"]: self._counts[number] for number, topic in self._topics.items()}
+        Raises
+        ------
+        AbraceError
+            If there is no such topic.
+        """
+        if topic_id not in self._topics:
+            raise self._refusal(None, topic_id)
+        content = self._topics[topic_id].content
+        content.lost = None if lost is None or content.lost is None else content.lost + lost
+
+    def contents(self) -> dict[str, TopicContent]:
+        """Messages, gaps and losses until the last flush, by topic."""
+        return {topic.channel.topic: topic.content for topic in self._topics.values()}
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system: it is readable even if this process is killed.
@@ -234,6 +259,8 @@ class BagWriter:
         self._check_open()
         with self._closed_on_failure():
             self._file.flush()
+        if self._file.index_size > INDEX_MEMORY:
+            self._end_size = 0
 
     def sync(self) -> None:
         """As `flush`, and wait until it is on the disk: it is readable even after a power loss.
@@ -243,21 +270,9 @@ class BagWriter:
         AbraceError
             As `flush`.
         """
-        self._check_open()
+        self.flush()
         with self._closed_on_failure():
             self._file.sync()
-
-    def split(self) -> None:
-        """Finish the file and go on in the next one.
-
-        Raises
-        ------
-        AbraceError
-            If the bag is closed, or a file can't be written: the bag is then closed as it is.
-        """
-        self._check_open()
-        self._finish_file()
-        self._open_file()
 
     def close(self) -> None:
         """Finish the file and write metadata.yaml. Closing again does nothing.
@@ -271,7 +286,7 @@ class BagWriter:
             return
         with self._closed_on_failure():
             self._file.flush()
-            self._file.add_metadata(COUNTS_RECORD, counts_record(self.counts()))
+            self._file.add_metadata(COUNTS_RECORD, counts_record(self.contents()))
         self._finish_file()
         self._closed = True
         self._write_metadata()
@@ -281,55 +296,72 @@ class BagWriter:
         """The file that is being written."""
         return self._file.path
 
-    @property
-    def closed(self) -> bool:
-        """Whether nothing more can be written, after `close` or a failure."""
-        return self._closed
-
     def _check_open(self) -> None:
         if self._closed:
             raise AbraceError(f"bag {self.directory} is closed")
 
-    def _full(self, time: int) -> bool:
-        """Whether a message received at this time [ns] belongs in the next file."""
-        if self._split_size and self._file.size - self._head_size >= self._split_size:
-            return True
-        return self._split_duration > 0 and time - self._span.first_time >= self._split_duration
+    def _texts(self, what: str, texts: Mapping[str, str]) -> dict[str, str]:
+        """A copy of `texts` by key, which can be written."""
+        for key, text in texts.items():
+            self._check_text(f"{what} {key!r}", key)
+            self._check_text(f"{what} {key!r}", text)
+        return dict(texts)
 
-    def _open_file(self, attachments: Sequence[Attachment] = ()) -> None:
+    def _check_text(self, what: str, text: str, errors: str = "strict") -> bytes:
+        if not isinstance(text, str):
+            raise self._error(f"{what}: {text!r}, expected a text")
+        try:
+            return text.encode(errors=errors)
+        except UnicodeEncodeError as error:
+            raise self._error(f"{what}: {text[error.start]!r} in it is no character") from error
+
+    def _checked(self, attachment: Attachment) -> Attachment:
+        self._check_text(f"attachment {attachment.name!r}", attachment.name)
+        return attachment
+
+    def _refusal(
+        self, topic: WrittenTopic | None, topic_id: int, payload: object = b"", log_time: int = 0, publish_time: int = 0
+    ) -> AbraceError:
+        """Why a message can't be in a bag."""
+        if topic is None:
+            return self._error(f"no topic has the number {topic_id}, expected one from add_topic")
+        what = f"message of {topic.channel.topic}"
+        if not isinstance(payload, bytes):
+            return self._error(f"{what}: is a {type(payload).__name__}, expected bytes")
+        if len(payload) > LARGEST_MESSAGE:
+            return self._error(f"{what}: has {len(payload)} bytes, expected at most {LARGEST_MESSAGE}")
+        return self._error(f"{what}: at {log_time} ns, published at {publish_time} ns, expected 0 to 2^63 - 1")
+
+    def _open_file(self, attachments: Iterable[Attachment] = ()) -> None:
         """Begin the next file: facts, records, types and topics, in the first one the attachments."""
-        span = FileSpan(f"{self.directory.name}_{len(self._files)}.mcap", counts=dict.fromkeys(self._topics, 0))
+        path = self.directory / f"{self.directory.name}_{len(self._files)}.mcap"
+        records = {FACTS_RECORD: {**self._facts, CHECKSUM_KEY: facts_checksum(self._facts)}, **self._records}
         with self._closed_on_failure():
-            self._file = McapWriter(self.directory / span.name, *self._compressor)
-            self._file.add_metadata(FACTS_RECORD, {**self._facts, CHECKSUM_KEY: facts_checksum(self._facts)})
-            for name, texts in self._records.items():
-                self._file.add_metadata(name, texts)
-            self._write_information(span)
-            for schema in self._schemas.values():
-                self._file.add_schema(schema)
-            for channel in self._channels:
-                self._file.add_channel(channel)
-            for attachment in attachments:
-                self._file.add_attachment(attachment)
-            self._file.publish()
-        self._span = span
-        self._files.append(span)
-        self._head_size = self._file.size
+            self._file = McapWriter(path, self._topics.values(), records, attachments)
+        self._files.append({})
+        # the first message begins the time of the file
+        self._end_time, self._end_size = 0, self._file.size + self._split_size
+
+    def _next_file(self, time: int) -> None:
+        """Begin the file for a message of this `time` [ns], unless it is the first one of a file."""
+        if self._end_time:
+            self._finish_file()
+            self._open_file()
+        self._end_time = time + self._split_duration
 
     def _finish_file(self) -> None:
         with self._closed_on_failure():
-            self._file.flush()
-            self._write_information(self._span)
-            self._file.finish(self._span)
+            self._file.finish()
+        self._describe_file()
 
-    def _write_information(self, span: FileSpan) -> None:
-        """Write into the file a metadata.yaml for this file only, with which rosbag2 reads a single file."""
-        information = bag_information(self._topics, [span], self._facts)
-        self._file.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": yaml_text(information).rstrip()})
+    def _describe_file(self) -> None:
+        """Note what the file that is being written holds, for metadata.yaml."""
+        span = time_span(self._file.first_time, self._file.last_time)
+        self._files[-1] = {"path": self.file.name, **span, "message_count": self._file.count}
 
     def _write_metadata(self) -> None:
-        information = bag_information(self._topics, self._files, self._facts)
-        write_text(self.directory / METADATA_FILE, yaml_text({"rosbag2_bagfile_information": information}))
+        information = bag_information(self._topics.values(), self._files, self._facts)
+        write_text(self.directory / METADATA_FILE, yaml_text(information))
 
     @contextlib.contextmanager
     def _closed_on_failure(self) -> Iterator[None]:
@@ -339,11 +371,14 @@ class BagWriter:
         except OSError as error:
             self._closed = True
             if self._files:
-                for topic_id, count in self._file.abandon().items():
-                    self._span.counts[topic_id] -= count
+                self._file.abandon()
+                self._describe_file()
                 with contextlib.suppress(AbraceError):
                     self._write_metadata()
             raise self._failure(error) from error
 
     def _failure(self, error: OSError) -> AbraceError:
         return AbraceError(f"cannot write bag {self.directory}: {error.strerror}")
+
+    def _error(self, what: str) -> AbraceError:
+        return AbraceError(f"bag {self.directory}: {what}")

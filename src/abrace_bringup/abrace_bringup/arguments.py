@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launch arguments: their table, and their check before the first node is started.
+"""Launch arguments: what each takes, and their check before the first node is started.
 
 Launch files run in the Python of `ros2 launch`, which may lack the packages of abrace's nodes: this module needs only
 the standard library and PyYAML, and no ROS.
@@ -13,15 +13,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from abrace_core.errors import AbraceError
-from abrace_core.suggestion import did_you_mean, expected_of
-from abrace_core.yaml_text import read_yaml
+from abrace_core import AbraceError
+from abrace_core.files.reading import read_yaml
+from abrace_core.files.suggestion import did_you_mean, expected_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
-NAMESPACE = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*")
+    Reader = Callable[[str], Any]
+    """Makes an argument's value of its text; a ValueError says what was expected."""
+
+NAMESPACE = r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*"
 OWN_NODE = re.compile(r"[A-Za-z_]\w*/[A-Za-z_]\w*")
+RECORD_FILES = (".at2", ".csv", ".txt", ".mat", ".mcap", ".v2")
 
 
 @dataclass(frozen=True)
@@ -37,13 +41,13 @@ class Argument:
     description
         What it is, with its unit.
     read
-        Makes its value of the text; a ValueError names what was expected.
+        Makes its value of the text.
     """
 
     name: str
     default: str
     description: str
-    read: Callable[[str], Any] = str
+    read: Reader = str
 
 
 def number(text: str) -> float:
@@ -57,39 +61,27 @@ def number(text: str) -> float:
     return value
 
 
-def duration(text: str) -> float:
+def positive(text: str) -> float:
     """A number above 0."""
     if not (value := number(text)):
         raise ValueError("a number above 0")
     return value
 
 
-def exaggeration(text: str) -> float:
-    """A number of 1 or more."""
-    if (value := number(text)) < 1:
-        raise ValueError("a number of 1 or more")
-    return value
-
-
-def forces(text: str) -> list[float]:
-    """One number of 0 or more, or several with commas between them; an empty text: none."""
+def numbers(text: str) -> list[float]:
+    """Numbers of 0 or more with commas between them; none in an empty text."""
     return [number(each) for each in text.strip("[] ").split(",")] if text else []
 
 
 def band(text: str) -> list[float]:
-    """Two rising frequencies with a comma between them."""
+    """Two rising frequencies with a comma between them, or none."""
     try:
-        low, high = forces(text)
+        found = numbers(text)
     except ValueError:
-        low = high = 0.0
-    if not low < high:
+        found = [0.0]
+    if found and (len(found) != 2 or found[0] >= found[1]):
         raise ValueError("two frequencies in Hz such as 0.3,10.0, the lower one first")
-    return [low, high]
-
-
-def band_or_none(text: str) -> list[float]:
-    """A band, or an empty text."""
-    return band(text) if text else []
+    return found
 
 
 def flag(text: str) -> bool:
@@ -99,8 +91,8 @@ def flag(text: str) -> bool:
     return text.lower() == "true"
 
 
-def one_of(*choices: str) -> Callable[[str], str]:
-    """Reads one of these texts."""
+def one_of(*choices: str) -> Reader:
+    """One of these texts."""
 
     def read(text: str) -> str:
         if text not in choices:
@@ -110,18 +102,15 @@ def one_of(*choices: str) -> Callable[[str], str]:
     return read
 
 
-def namespace(text: str) -> str:
-    """A ROS namespace, without the slash in front."""
-    if not NAMESPACE.fullmatch(text):
-        raise ValueError("a ROS namespace such as rig")
-    return text.lstrip("/")
+def matching(pattern: str, expected: str) -> Reader:
+    """A text of a form, which `expected` says in words."""
 
+    def read(text: str) -> str:
+        if not re.fullmatch(pattern, text):
+            raise ValueError(expected)
+        return text
 
-def enclave_folder(text: str) -> str:
-    """A folder of enclaves, which begins with a slash, or nothing."""
-    if text and not (text.startswith("/") and NAMESPACE.fullmatch(text)):
-        raise ValueError("a folder of enclaves such as /abrace")
-    return text
+    return read
 
 
 def new_bag(text: str) -> str:
@@ -131,29 +120,26 @@ def new_bag(text: str) -> str:
     return text
 
 
-def name_or_file(text: str, *endings: str) -> str:
-    """A text; one that looks like a path, by a slash or one of the `endings`, has to name a file or directory."""
-    if ("/" in text or text.lower().endswith(endings)) and not Path(text).exists():
-        raise ValueError("a file, and there is none of this name")
-    return text
+def name_or_file(what: str, *endings: str) -> Reader:
+    """A text; one that looks like a path, by a slash or one of the `endings`, has to name a file or directory.
 
+    `what` is expected where it is empty; without it the text may be empty.
+    """
 
-def rig(text: str) -> str:
-    """A rig's name or file."""
-    if not text:
-        raise ValueError("the name of a rig or a file")
-    return name_or_file(text, ".yaml")
+    def read(text: str) -> str:
+        if what and not text:
+            raise ValueError(what)
+        if ("/" in text or text.lower().endswith(endings)) and not Path(text).exists():
+            raise ValueError("a file, and there is none of this name")
+        return text
 
-
-def record(text: str) -> str:
-    """A record's name or file."""
-    return name_or_file(text, ".at2", ".csv", ".txt", ".mat", ".mcap", ".v2")
+    return read
 
 
 def parameter_file(text: str) -> str:
-    """A ROS parameter file."""
+    """A ROS parameter file, or an empty text."""
     if not text:
-        raise ValueError("a ROS parameter file")
+        return text
     try:
         content = read_yaml(text, "ROS parameter")
     except AbraceError as error:
@@ -169,14 +155,11 @@ def controller(text: str) -> str:
     if OWN_NODE.fullmatch(text) and not Path(text).exists():
         return text
     try:
-        return parameter_file(text)
+        if text:
+            return parameter_file(text)
+        raise ValueError("a ROS parameter file")
     except ValueError as error:
         raise ValueError(f"{error}; or PACKAGE/EXECUTABLE of a node of your own") from error
-
-
-def parameter_file_or_none(text: str) -> str:
-    """A ROS parameter file, or an empty text."""
-    return parameter_file(text) if text else text
 
 
 def _holds_parameters(content: object) -> bool:
@@ -186,21 +169,16 @@ def _holds_parameters(content: object) -> bool:
 
 
 def read_arguments(table: Sequence[Argument], texts: Mapping[str, str], given: Collection[str] = ()) -> dict[str, Any]:
-    """The values of the arguments.
+    """The values of the arguments in a `table`, by name.
 
     Parameters
     ----------
     table
         The arguments that there are.
     texts
-        Text of each of them.
+        Text of each that is not left at its default.
     given
         Names on the command line, all of which have to be in the table.
-
-    Returns
-    -------
-    dict
-        Value by name.
 
     Raises
     ------
@@ -208,12 +186,10 @@ def read_arguments(table: Sequence[Argument], texts: Mapping[str, str], given: C
         With a line for each mistake.
     """
     names = [argument.name for argument in table]
-    mistakes, values = [], {}
-    for name in given:
-        if name not in names:
-            mistakes.append(f"{name}: unknown, {expected_of(name, names)}")
+    mistakes = [f"{name}: unknown, {expected_of(name, names)}" for name in given if name not in names]
+    values = {}
     for argument in table:
-        text = texts[argument.name]
+        text = texts.get(argument.name, argument.default)
         try:
             values[argument.name] = argument.read(text)
         except ValueError as error:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The launch description of a test: arguments, nodes, and the consequence of each node's end."""
+"""A graph as `ros2 launch` runs it: its arguments, its nodes, and the end of them all with the end of one.
+
+Where another launch file includes this one, also twice under namespaces, the end of the test ends its own nodes alone.
+"""
 
 from __future__ import annotations
 
@@ -8,132 +11,100 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
-from launch.substitution import Substitution
-from launch.substitutions import Command
-from launch_ros.actions import Node
+from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction, Shutdown
+from launch.events import matches_action
+from launch.events.process import ShutdownProcess
+from launch_ros.actions import LifecycleNode, Node
 from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
-from abrace_bringup.arguments import read_arguments
-from abrace_bringup.enlarged_description import enlarged
-from abrace_bringup.graphs import end_of_node
-from abrace_core.errors import AbraceError
+from abrace_bringup.graphs import end_of_node, has_end
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from launch import LaunchContext
     from launch.action import Action
     from launch.events.process import ProcessExited
 
-    from abrace_bringup.arguments import Argument
-    from abrace_bringup.graphs import NodeSetup
+    from abrace_bringup.graphs import Graph, NodeSetup
 
+LIFECYCLE = {
+    ("abrace_plant", "plant"),
+    ("abrace_plant", "ground_motion"),
+    ("abrace_lqg", "controller"),
+    ("abrace_sysid", "excitation"),
+}
+"""Package and executable of the life cycle nodes."""
 LIST_TYPES = {str: list[str], float: list[float]}
 
 
-def describe(
-    launch_file: str, table: Sequence[Argument], nodes: Callable[[Mapping[str, Any]], list[NodeSetup]]
-) -> LaunchDescription:
-    """The description of a launch file.
-
-    Parameters
-    ----------
-    launch_file
-        Its `__file__`.
-    table
-        Its arguments.
-    nodes
-        Makes the nodes from the arguments' values.
-    """
+def describe(graph: Graph) -> LaunchDescription:
+    """The launch description of a `graph`."""
 
     def start(context: LaunchContext) -> list[Action]:
         # where another launch file includes this one, the command line has that one's arguments
-        direct = any(Path(text).name == Path(launch_file).name for text in sys.argv)
+        direct = f"{graph.name}.launch.py" in [Path(text).name for text in sys.argv]
+        test = _Test(direct)
         given = [text.partition(":=")[0] for text in context.argv] if direct else []
         given = [name for name in given if not name.startswith("launch-prefix")]
         try:
-            values = read_arguments(table, context.launch_configurations, given)
-            return _actions(values, nodes(values))
+            return [test.node(setup) for setup in graph.nodes(context.launch_configurations, given)]
         except AbraceError as error:
             # launch ends with code 1 and this message
             raise RuntimeError(str(error)) from None
 
     declared = [
         DeclareLaunchArgument(argument.name, default_value=argument.default, description=argument.description)
-        for argument in table
+        for argument in graph.arguments
     ]
     return LaunchDescription([*declared, OpaqueFunction(function=start)])
 
 
-def _actions(values: Mapping[str, Any], setups: Sequence[NodeSetup]) -> list[Action]:
-    actions = [_node(values, setup) for setup in setups]
-    if values["robot_state_publisher"]:
-        actions.append(_robot_state_publisher(values))
-    return actions
+class _Test:
+    """The nodes of one test; `direct`: the launch ends with it."""
 
+    def __init__(self, direct: bool) -> None:
+        self._direct, self._over = direct, False
+        self._nodes: list[Node] = []
 
-def _node(values: Mapping[str, Any], setup: NodeSetup) -> Action:
-    """A node without which the launch ends."""
+    def node(self, setup: NodeSetup) -> Node:
+        """A node without which the test ends."""
 
-    def on_exit(event: ProcessExited, context: LaunchContext) -> Action | None:
-        meaning = end_of_node(setup.executable, event.returncode, context.is_shutdown)
-        if meaning:
-            # this alone makes launch end with a code that is not 0
-            raise RuntimeError(meaning)
-        return None if meaning is None else Shutdown(reason="the test is over")
+        def on_exit(event: ProcessExited, context: LaunchContext) -> list[Action]:
+            over = context.is_shutdown or self._over
+            meaning = end_of_node(setup.executable, event.returncode, over, has_end(setup))
+            if meaning:
+                # this alone makes launch end with a code that is not 0
+                raise RuntimeError(meaning)
+            return [] if meaning is None else self._end()
 
-    files = [*setup.files, *([values["parameters"]] if values["parameters"] else [])]
-    return Node(
-        package=setup.package,
-        executable=setup.executable,
-        name=setup.executable,
-        namespace=values["namespace"],
-        output="screen",
-        ros_arguments=["--enclave", f"{values['enclaves']}/{setup.executable}"] if values["enclaves"] else [],
-        parameters=[
-            {name: _typed(value) for name, value in setup.parameters.items()},
-            *(ParameterFile(file) for file in files),
-        ],
-        additional_env={"ABRACE_END_WITH": str(os.getpid())},
-        on_exit=on_exit,
-    )
+        lifecycle = (setup.package, setup.executable) in LIFECYCLE  # of which launch tells and takes events
+        made = (LifecycleNode if lifecycle else Node)(
+            package=setup.package,
+            executable=setup.executable,
+            name=setup.executable,
+            # relative: it goes into the namespace that an including file pushes
+            namespace=setup.namespace.lstrip("/"),
+            output="both",
+            ros_arguments=["--enclave", setup.enclave] if setup.enclave else [],
+            parameters=[
+                {name: _typed(value) for name, value in setup.parameters.items()},
+                *map(ParameterFile, setup.files),
+            ],
+            additional_env={"ABRACE_END_WITH": str(os.getpid())},
+            on_exit=on_exit,
+        )
+        self._nodes.append(made)
+        return made
+
+    def _end(self) -> list[Action]:
+        """End the launch or, where another file includes this one, the other nodes of this test."""
+        self._over = True
+        if self._direct:
+            return [Shutdown(reason="the test is over")]
+        return [EmitEvent(event=ShutdownProcess(process_matcher=matches_action(node))) for node in self._nodes]
 
 
 def _typed(value: Any) -> ParameterValue:
     """A parameter's value with the type that it has here: launch reads a text as YAML otherwise."""
     return ParameterValue(value, value_type=LIST_TYPES[type(value[0])] if isinstance(value, list) else type(value))
-
-
-class _Enlarged(Substitution):
-    """The robot description that a command prints, enlarged."""
-
-    def __init__(self, description: Command, times: float) -> None:
-        super().__init__()
-        self._description, self._times = description, times
-
-    def perform(self, context: LaunchContext) -> str:
-        """The text."""
-        return enlarged(self._description.perform(context), self._times)
-
-
-def _robot_state_publisher(values: Mapping[str, Any]) -> Action:
-    try:
-        get_package_prefix("robot_state_publisher")
-    except PackageNotFoundError:
-        raise AbraceError(
-            "robot_state_publisher:=true, expected the package of that name, which is not installed"
-        ) from None
-    executable = Path(get_package_prefix("abrace_plant")) / "lib/abrace_plant/robot_description"
-    description = _Enlarged(Command([str(executable), " --ros-args -p rig:=", values["rig"]]), values["exaggeration"])
-    return Node(
-        package="robot_state_publisher",
-        executable="robot_state_publisher",
-        exec_name="robot_state_publisher",
-        namespace=values["namespace"],
-        parameters=[{"robot_description": ParameterValue(description, value_type=str)}],
-        # this node does not support ABRACE_END_WITH
-        prefix="setpriv --pdeathsig TERM",
-    )

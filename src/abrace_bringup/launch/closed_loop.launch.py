@@ -7,9 +7,9 @@ ros2 launch abrace_bringup closed_loop.launch.py controller:=lqg3.yaml record:=e
 from launch import LaunchDescription
 
 from abrace_bringup.description import describe
-from abrace_bringup.graphs import CLOSED_LOOP, closed_loop
+from abrace_bringup.graphs import CLOSED_LOOP
 
 
 def generate_launch_description() -> LaunchDescription:
     """The nodes of the test, with the supervisor that starts and ends it."""
-    return describe(__file__, CLOSED_LOOP, closed_loop)
+    return describe(CLOSED_LOOP)

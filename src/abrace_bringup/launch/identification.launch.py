@@ -2,16 +2,14 @@
 """A test for identification in real time: rig, logger, and white noise or multisines on the table, as command, or both.
 
 ros2 launch abrace_bringup identification.launch.py drive:=table bag:=bags/table_noise
-ros2 launch abrace_bringup identification.launch.py drive:=command bag:=bags/command_noise
-ros2 launch abrace_bringup identification.launch.py drive:=both bag:=bags/multisines
 """
 
 from launch import LaunchDescription
 
 from abrace_bringup.description import describe
-from abrace_bringup.graphs import IDENTIFICATION, identification
+from abrace_bringup.graphs import IDENTIFICATION
 
 
 def generate_launch_description() -> LaunchDescription:
     """The nodes of the test, with the supervisor that starts and ends it."""
-    return describe(__file__, IDENTIFICATION, identification)
+    return describe(IDENTIFICATION)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 from abrace_lqg.control_law import ControlLaw
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from abrace_core.controller_file import Controller
+    from abrace_core.model.controller_file import Controller
 
 SETTLING_TIME = 2.0
 """Seconds for which the estimate of an incoming law settles, in parallel with the law in use, before its fade."""
@@ -56,7 +56,7 @@ class ActiveController:
 
     @property
     def state(self) -> str:
-        """In words, for diagnostics."""
+        """The state in words, for diagnostics."""
         if self._incoming is None:
             return "in use" if self._law else "waiting for samples"
         return "warming up" if self._settling_left else "fading in"
@@ -67,7 +67,7 @@ class ActiveController:
         Parameters
         ----------
         names, commands
-            Of the rig's measured values and of its commands.
+            Names of the rig's measured values, and of its commands.
         force
             (commands,) [N].
 

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from abrace_core.controller_file import Controller
+    from abrace_core.model.controller_file import Controller
 
 INNOVATION_WINDOW = 5000
 """Number of samples over which the rms of the innovation is taken."""
@@ -42,7 +42,7 @@ class ControlLaw:
     Attributes
     ----------
     names
-        Of the controller's measured quantities.
+        Names of the controller's measured quantities.
 
     Raises
     ------

@@ -14,20 +14,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.discretization import discretize
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel, pole_table, takes_models
+from abrace_core import AbraceError
+from abrace_core.model.discretization import discretize
+from abrace_core.model.linear_model import LinearModel, pole_table, takes_models
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
 LOWEST_FREQUENCY = 1e-4
 """Where frequency grids begin [rad/s]."""
-
-LARGEST_CONDITION = 1e10
-"""Condition number of the eigenvectors up to which a model is evaluated by its poles and residues."""
 
 NEGLIGIBLE_POLE = 1e-4
 """|z| of a pole that decays within one sample, as those of a delay do: it is not counted as an oscillation."""
@@ -57,33 +52,31 @@ def closed_loop(model: LinearModel, controller: LinearModel) -> LinearModel:
     Returns
     -------
     LinearModel
-        States: the model's, the commands in force, the controller's. The command at sample k is the one in force from
+        States: the model's, the controller's, the commands in force. The command at sample k is the one in force from
         that sample to the next.
     """
-    plant = sampled(model, controller.sample_period)
+    import control
+
+    period, commands = controller.sample_period, len(controller.outputs)
+    plant = sampled(model, period)
     external = tuple(name for name in plant.inputs if name not in controller.outputs)
-    driven = plant.select(inputs=external)
-    commanded = plant.select(inputs=controller.outputs)
-    y_driven, y_commanded = driven.select(controller.inputs), commanded.select(controller.inputs)
-    n, m, states = plant.order, len(controller.outputs), controller.order
-    a = np.block(
-        [
-            [plant.a, commanded.b, np.zeros((n, states))],
-            [controller.d @ y_commanded.c, controller.d @ y_commanded.d, controller.c],
-            [controller.b @ y_commanded.c, controller.b @ y_commanded.d, controller.a],
-        ]
-    )
-    b = np.vstack([driven.b, controller.d @ y_driven.d, controller.b @ y_driven.d])
-    c = np.block([[plant.c, commanded.d, np.zeros((len(plant.c), states))], [np.eye(m, n + m + states, n)]])
-    d = np.vstack([driven.d, np.zeros((m, len(external)))])
-    return LinearModel(a, b, c, d, external, plant.outputs + controller.outputs, controller.sample_period)
+    plant = plant.select(inputs=(*external, *controller.outputs))
+    measured = plant.select(controller.inputs)
+    in_force = np.eye(commands, len(plant.inputs), len(external))
+    none, eye = np.zeros((commands, commands)), np.eye(commands)
+    # to the outputs and the commands in force, and to what is measured, which goes back through a sample's delay
+    c = np.vstack([plant.c, np.zeros((commands, plant.order)), measured.c])
+    upper = control.ss(plant.a, plant.b, c, np.vstack([plant.d, in_force, measured.d]), period)
+    whole = upper.lft(control.series(controller.to_control(), control.ss(none, eye, eye, none, period)))
+    return LinearModel(whole.A, whole.B, whole.C, whole.D, external, plant.outputs + controller.outputs, period)
 
 
 @takes_models
 def open_loop(model: LinearModel, controller: LinearModel, broken_at: str) -> LinearModel:
     """The discrete loop broken at one signal, the others closed, as a model: L of `Loop.transfer_function`.
 
-    For python-control's Bode, Nyquist and Nichols plots: `open_loop(model, controller, "U").to_control()`.
+    For python-control's Bode, Nyquist and Nichols plots: `open_loop(model, controller, "U").to_control()`. A row or a
+    column of the closed loop's matrices is cut, which has no states to name again as `interconnect` has.
 
     Parameters
     ----------
@@ -101,13 +94,13 @@ def open_loop(model: LinearModel, controller: LinearModel, broken_at: str) -> Li
     a, b = whole.a.copy(), np.zeros((whole.order, 1))
     if broken_at in controller.outputs:
         # the controller's command is the output, the command in force one sample later the input
-        row = plant.order + controller.outputs.index(broken_at)
+        row = plant.order + controller.order + controller.outputs.index(broken_at)
         returned = a[row].copy()
         a[row], b[row] = 0.0, 1.0
     else:
         returned = whole.c[whole.outputs.index(broken_at)]
         column = controller.inputs.index(broken_at)
-        b[plant.order :, 0] = np.concatenate([controller.d[:, column], controller.b[:, column]])
+        b[plant.order :, 0] = np.concatenate([controller.b[:, column], controller.d[:, column]])
         a -= b @ returned[None]
     return LinearModel(a, b, -returned[None], np.zeros((1, 1)), (broken_at,), (broken_at,), whole.sample_period)
 
@@ -143,14 +136,12 @@ class Loop:
     @takes_models
     def __init__(self, model: LinearModel, controller: LinearModel) -> None:
         whole = sampled(model, controller.sample_period)
-        plant = whole.select(controller.inputs, controller.outputs)
+        self._plant, self._controller = whole.select(controller.inputs, controller.outputs), controller
         self.sample_period = controller.sample_period
         self.signals = (*controller.outputs, *controller.inputs)
-        plant_poles, self._plant_response = _evaluator(plant)
-        controller_poles, self._controller_response = _evaluator(controller)
         closed_poles = eigenvalues(closed_loop(whole, controller).a)
         self.is_stable = bool(np.abs(closed_poles).max() < 1)
-        self._poles = np.concatenate([plant_poles, controller_poles, closed_poles])
+        self._poles = np.concatenate([eigenvalues(whole.a), eigenvalues(controller.a), closed_poles])
 
     def components(self, omega: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """Responses of plant and controller at `omega` [rad/s].
@@ -158,8 +149,14 @@ class Loop:
         That of the plant (frequencies, measured, commands) includes the delay of one sample; that of the controller is
         (frequencies, commands, measured).
         """
-        z = np.exp(1j * omega * self.sample_period)
-        return self._plant_response(z) / z[:, None, None], self._controller_response(z)
+        z = np.exp(1j * omega * self.sample_period)[:, None, None]
+        plant, controller = self._plant.frequency_response(omega) / z, self._controller.frequency_response(omega)
+        finite = np.isfinite(plant).all(axis=(1, 2)) & np.isfinite(controller).all(axis=(1, 2))
+        if not finite.all():
+            raise AbraceError(
+                f"loop: no finite response at {omega[~finite][0]:.6g} rad/s, expected one of plant and law"
+            )
+        return plant, controller
 
     def complementary_sensitivity(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
         """T of the loop broken at each of `signals`, the others closed: (frequencies, signals) at `omega` [rad/s]."""
@@ -214,20 +211,6 @@ def frequency_grid(
 def eigenvalues(matrix: NDArray[np.float64]) -> NDArray[np.complex128]:
     """Eigenvalues (n,) of a real `matrix` (n, n): the poles in the z plane of a discrete model."""
     return np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
-
-
-def _evaluator(
-    model: LinearModel,
-) -> tuple[NDArray[np.complex128], Callable[[NDArray[np.complex128]], NDArray[np.complex128]]]:
-    """The model's poles, and a function of z (points,) to its response (points, outputs, inputs)."""
-    shape = model.d.shape
-    poles, vectors = np.linalg.eig(model.a)
-    poles = np.asarray(poles, dtype=np.complex128)
-    if np.linalg.cond(vectors) < LARGEST_CONDITION:
-        left = np.linalg.solve(vectors, model.b.astype(np.complex128))
-        residues = ((model.c @ vectors).T[:, :, None] * left[:, None, :]).reshape(model.order, -1)
-        return poles, lambda z: (1 / (z[:, None] - poles) @ residues).reshape(len(z), *shape) + model.d
-    return poles, lambda z: model.frequency_response(np.angle(z) / model.sample_period)
 
 
 def _oscillations(z: NDArray[np.complex128], sample_period: float) -> list[tuple[float, float]]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,9 +45,7 @@ def regulator(
     NDArray
         (commands, states).
     """
-    cross, r = c.T @ q @ d, r + d.T @ q @ d
-    solution = riccati(a, b, c.T @ q @ c, r, cross, "regulator")
-    return np.asarray(linalg.solve(r, b.T @ solution + cross.T, assume_a="pos"))
+    return _gain(a, b, (c.T @ q @ c, r + d.T @ q @ d, c.T @ q @ d), "regulator")
 
 
 def kalman(
@@ -71,26 +69,34 @@ def kalman(
     NDArray
         (states, measured).
     """
-    return regulator(a.T, c.T, e.T, f.T, np.eye(e.shape[1]), v).T
+    return _gain(a.T, c.T, (e @ e.T, v + f @ f.T, e @ f.T), "Kalman filter").T
 
 
-def riccati(
+def _gain(
     a: NDArray[np.float64],
     b: NDArray[np.float64],
-    q: NDArray[np.float64],
-    r: NDArray[np.float64],
-    s: NDArray[np.float64],
+    weights: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
     name: str,
 ) -> NDArray[np.float64]:
-    """The stabilising solution X of A'X + X A - (X B + S) R^-1 (B'X + S') + Q = 0 for `a`, `b`, `q`, `r`, `s`, checked.
+    """K = R^-1 (B'X + S') of the stabilising X of A'X + X A - (X B + S) R^-1 (B'X + S') + Q = 0, checked.
 
-    States are scaled so that A is balanced, and inputs so that R has a unit diagonal: the units have no effect.
+    python-control's, of states scaled so that A is balanced, inputs so that R has a unit diagonal, and weights so that
+    Q and B R^-1 B' are of one size. Without that its gains for a rig in metres and newtons are off by up to 6e-7.
+
+    Parameters
+    ----------
+    b
+    name
+        What the equation is of.
 
     Raises
     ------
     AbraceError
-        If there is no solution, its residual is too large, or it is not stabilising; `name` is the equation's name.
+        If there is no solution, its residual is too large, or it is not stabilising.
     """
+    import control
+
+    q, r, s = weights
     _, (scale, _) = linalg.matrix_balance(a, permute=False, separate=True)
     root = np.sqrt(np.diag(r))
     a = a * scale / scale[:, None]
@@ -98,14 +104,12 @@ def riccati(
     q = q * np.outer(scale, scale)
     s = s * scale[:, None] / root
     r = r / np.outer(root, root)
-    # X scales with Q, R and S together: make Q and B R^-1 B' of one size
     size = np.sqrt(linalg.norm(q) / linalg.norm(b @ linalg.solve(r, b.T, assume_a="pos"))) or 1.0
-    q, r, s = q / size, r / size, s / size
+    q, r, s = (q + q.T) / 2 / size, (r + r.T) / 2 / size, s / size
     try:
-        x = linalg.solve_continuous_are(a, b, q, r, s=s)
-    except (linalg.LinAlgError, ValueError) as error:
+        gain, x, poles = control.lqr(a, b, q, r, s, method="scipy")
+    except (control.ControlArgument, linalg.LinAlgError, ValueError) as error:
         raise AbraceError(f"design: the {name}'s Riccati equation has no solution ({error})") from error
-    gain = linalg.solve(r, b.T @ x + s.T, assume_a="pos")
     terms = (a.T @ x, x @ a, -(x @ b + s) @ gain, q)
     residual = linalg.norm(sum(terms)) / max(linalg.norm(term) for term in terms)
     if not residual < RESIDUAL_LIMIT:
@@ -113,6 +117,6 @@ def riccati(
             f"design: the {name}'s Riccati equation has a relative residual of {residual:.1e}, "
             f"expected less than {RESIDUAL_LIMIT:.0e}"
         )
-    if linalg.eigvals(a - b @ gain).real.max() >= 0:
+    if poles.real.max() >= 0:
         raise AbraceError(f"design: the {name} is not stable")
-    return np.asarray(x / np.outer(scale, scale) * size)
+    return np.asarray(gain / root[:, None] / scale)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel, takes_models
+from abrace_core import AbraceError
+from abrace_core.model.linear_model import LinearModel, takes_models
 from abrace_lqg.analysis.prediction import predicted_rms
 from abrace_lqg.design import design
 from abrace_lqg.loop import sampled
@@ -46,15 +46,15 @@ def scaled_weights(
     Parameters
     ----------
     model
-        That the controller is designed on.
+        The model that the controller is designed on.
     weights
-        With `scale`.
+        Relative weights, with their `scale`.
     sample_period
-        Of the controller [s].
+        Sample period of the controller [s].
     force_limit
         (commands,) [N].
     excitation
-        Of the ground, under which reduction and force are predicted.
+        Excitation of the ground, under which reduction and force are predicted.
 
     Raises
     ------

@@ -9,20 +9,32 @@ of m, m/s^2 and N. With `scale` they are relative, and scaled to a rig from one 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 import pydantic
+import yaml
 
-from abrace_core.config_file import Checked, read_config, yaml_number
-from abrace_core.errors import AbraceError
-from abrace_core.files import write_text
+from abrace_core import AbraceError
+from abrace_core.files.config_file import Checked, read_config
+from abrace_core.files.writing import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+KINDS = {
+    "displacement": "x[0-9]+",
+    "stroke": "xf[0-9]*",
+    "acceleration": "a[0-9]+",
+    "force": "f[0-9]*",
+    "command": "U[0-9]*",
+    "drift": "d[0-9]+",
+    "base_shear": "V",
+}
+"""The names of the signals of each kind: the whole name, so that a model's own names are not taken for others."""
 
 Weight = Annotated[float, pydantic.Field(ge=0)]
 Positive = Annotated[float, pydantic.Field(gt=0)]
@@ -42,7 +54,7 @@ class KindWeights(Checked):
     command
         [1/N^2], greater than zero.
     drift
-        Of each storey, d1 = x1, d2 = x2 - x1 ... [1/m^2].
+        Drift of each storey, d1 = x1, d2 = x2 - x1 ... [1/m^2].
     base_shear
         V, the sum of all floors' masses times accelerations [1/N^2].
     """
@@ -62,7 +74,7 @@ class Scale(Checked):
     Parameters
     ----------
     reduction
-        Of the displacements' rms under the design's excitation, mean of the floors: 0.5 halves them.
+        Reduction of the displacements' rms under the design's excitation, mean of the floors: 0.5 halves them.
     force
         Share of the force limit that three times the rms of a command takes, of the command that needs most.
     """
@@ -85,7 +97,7 @@ class Weights(Checked):
     measured
         Names of the measured quantities y, in the order of the controller's inputs; "a*": all accelerations.
     weights
-        By kind of signal.
+        Weights by kind of signal.
     relative
         By name of a signal: factor on the weight of its kind; 1 for signals that are not named.
     noise_to_excitation
@@ -94,11 +106,13 @@ class Weights(Checked):
     noise
         By name of a measured quantity: factor on that intensity; 1 for those that are not named.
     masses
-        Of the floors, the lowest first [kg], for the base shear.
+        Masses of the floors, the lowest first [kg], for the base shear.
     scale
         The target by which the weights are scaled to a rig. The weights are then only relative: each is divided by the
         mean square of its signal with zero command, a command's by the square of its force limit.
     """
+
+    who: ClassVar[str] = "weights"
 
     measured: Annotated[list[str], pydantic.Field(min_length=1)]
     weights: KindWeights
@@ -197,17 +211,9 @@ def signal_kind(name: str) -> str:
     >>> [signal_kind(name) for name in ("x3", "xf", "a1", "f2", "U", "d2", "V")]
     ['displacement', 'stroke', 'acceleration', 'force', 'command', 'drift', 'base_shear']
     """
-    for prefix, found in (
-        ("xf", "stroke"),
-        ("x", "displacement"),
-        ("a", "acceleration"),
-        ("f", "force"),
-        ("U", "command"),
-        ("d", "drift"),
-        ("V", "base_shear"),
-    ):
-        if name.startswith(prefix):
-            return found
+    for kind, pattern in KINDS.items():
+        if re.fullmatch(pattern, name):
+            return kind
     raise AbraceError(f"signal {name!r}: no weight for it, expected a name such as x1, xf, a1, f, d2, V or U")
 
 
@@ -227,37 +233,12 @@ def save_weights(weights: Weights, path: Path | str, origin: str) -> None:
 
     Parameters
     ----------
-    weights
-        In SI units.
     path
-        Of the file.
+    weights
+        The weights, in SI units.
     origin
         Where the weights come from: a comment at the top of the file.
     """
-    kinds = weights.weights.model_dump(exclude_unset=True)
-    relative = [f"  {name}: {yaml_number(factor)}" for name, factor in weights.relative.items()]
-    units = {
-        "displacement": "1/m^2",
-        "stroke": "1/m^2",
-        "acceleration": "s^4/m^2",
-        "force": "1/N^2",
-        "command": "1/N^2",
-        "drift": "1/m^2",
-        "base_shear": "1/N^2",
-    }
-    noise = [f"  {name}: {yaml_number(factor)}" for name, factor in weights.noise.items()]
-    scale = weights.scale.model_dump(exclude_none=True) if weights.scale else {}
-    lines = [
-        f"# {' '.join(origin.split())}",
-        f"measured: [{', '.join(weights.measured)}]",
-        "",
-        "weights:",
-        *(f"  {name}: {yaml_number(value)}  # {units[name]}" for name, value in kinds.items()),
-        "",
-        *(["relative:", *relative, ""] if relative else []),
-        f"noise_to_excitation: {yaml_number(weights.noise_to_excitation)}",
-        *(["", "noise:", *noise] if noise else []),
-        *(["", f"masses: [{', '.join(map(yaml_number, weights.masses))}]  # kg"] if weights.masses else []),
-        *(f"scale: {{{name}: {yaml_number(value)}}}" for name, value in scale.items()),
-    ]
-    write_text(path, "\n".join(lines) + "\n")
+    content = weights.model_dump(exclude_unset=True, exclude_none=True)
+    text = yaml.safe_dump(content, default_flow_style=None, sort_keys=False)
+    write_text(path, f"# {' '.join(origin.split())}\n{text}")

@@ -2,33 +2,49 @@
 """Identification from measured data of any structure, without knowledge of what the channels mean.
 
 transfer functions  from all inputs at once, by default by the local rational method
-modes               found one by one (`mode_search`), then fitted together to the whole record by maximum likelihood
+modes               started by subspace identification (`mode_search`), refined by maximum likelihood
+delays              of single outputs, estimated with these modes (`output_delays`), and taken off before the last fit
 model               one state-space model for all inputs: these modes, and residual terms for modes above the band
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
+from pydantic import BeforeValidator, Field
+from scipy import fft
 
-from abrace_core.errors import AbraceError
-from abrace_sysid.fitting.mode_search import fit_with_residual_terms, search_modes, weighed
-from abrace_sysid.fitting.observation import Observation
+from abrace_core import AbraceError
+from abrace_core.files.options import NOT_GIVEN, Band, Names
+from abrace_core.model.discretization import discretize
+from abrace_core.model.linear_model import takes_models
+from abrace_core.model.simulation import simulate
+from abrace_sysid.examination import prepared
+from abrace_sysid.fitting.mode_search import (
+    fit_with_residual_terms,
+    observed,
+    residual_poles,
+    search_modes,
+    weighed,
+)
+from abrace_sysid.fitting.output_delays import SETTLED, Delay, output_delays
 from abrace_sysid.fitting.vector_fitting import HEAVY_DAMPING
 from abrace_sysid.models.modal import modal_model
-from abrace_sysid.recordings import check_channels
+from abrace_sysid.recorded.test import DataHold, TableOptions, Test, given_tests, of_one_rig
+from abrace_sysid.spectra.bands import steady_band
 from abrace_sysid.spectra.estimation import TransferFunctionOptions, frequency_responses
-from abrace_sysid.spectra.fourier import spectra_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping, Sequence
 
-    from abrace_core.linear_model import LinearModel
+    from numpy.typing import NDArray
+
+    from abrace_core.model.linear_model import LinearModel
     from abrace_sysid.fitting.pole_estimate import PoleEstimate, PoleInterval
-    from abrace_sysid.measured_data import MeasuredData
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
+
 
 LEAST_LINES = 10
 """The default band begins at this multiple of the record's frequency resolution (1 / duration).
@@ -40,24 +56,47 @@ LEAST_SAMPLES = 400
 """Samples that a record must have at least: half of a shorter one has too few lines for more than one or two modes."""
 
 
-@dataclass(frozen=True)
-class DataOptions:
-    """How to identify from measured data.
+def _units_of(given: Any) -> Any:
+    """The units by name, from texts `given` as NAME=UNIT; anything else as it is given.
 
-    Parameters
-    ----------
-    band
-        [Hz] that is used; all inputs must be excited in it. None: from ten times the frequency resolution to half the
-        sample rate.
-    most_modes
-        Greatest number of modes (pole pairs and real poles) that are searched.
-    transfer_function
-        Method and settings of the transfer functions.
+    >>> _units_of(["a1=m/s^2", "force=N"])
+    {'a1': 'm/s^2', 'force': 'N'}
     """
+    if not isinstance(given, (list, tuple)):
+        return given
+    found = {}
+    for text in given:
+        name, _, unit = str(text).partition("=")
+        if not (name and unit):
+            raise ValueError("NAME=UNIT")
+        found[name] = unit
+    return found
 
-    band: tuple[float, float] | None = None
-    most_modes: int = 60
-    transfer_function: TransferFunctionOptions = field(default_factory=TransferFunctionOptions)
+
+Units = Annotated[dict[str, str], BeforeValidator(_units_of)]
+"""Units by name: a mapping, or texts NAME=UNIT."""
+
+
+class DataOptions(TableOptions, TransferFunctionOptions):
+    """Options of an identification from measured data: of its columns, and of the fit."""
+
+    who: ClassVar[str] = "identification"
+
+    inputs: Names = Field(min_length=1, description="names of the input columns")
+    outputs: Names = Field(default=(), description="names of the output columns; none: all others")
+    units: Units = Field(default={}, description="NAME=UNIT of columns that do not state it, for figures")
+    hold: DataHold = Field(
+        default="band", description="inputs sampled as the outputs, band-limited, or held between samples (zero)"
+    )
+    band: Band = Field(default=NOT_GIVEN, description="Hz; 0, 0: what all inputs excite, from 10 / duration on")
+    most_modes: Annotated[int, Field(ge=1)] = Field(default=60, description="modes that are searched, at most")
+    held_out: Annotated[float, Field(ge=0, le=0.8)] = Field(
+        default=0.0, description="share at the end of each record that is held out and predicted"
+    )
+
+    def read(self, data: Any) -> tuple[Test, ...]:
+        """The records `data`, one or several: tests, or the columns of files, DataFrames and arrays by name."""
+        return given_tests(data, self.model_dump(include={"inputs", "outputs", "sample_rate", "time", "units", "hold"}))
 
 
 @dataclass(frozen=True)
@@ -66,8 +105,10 @@ class DataIdentification:
 
     Parameters
     ----------
-    data
-        The data used, without the channels that do not respond to the inputs.
+    tests
+        The records as measured, examined.
+    records
+        The records used, without the channels that do not respond to the inputs, the others moved in time.
     band
         [Hz] that was used.
     responses
@@ -75,28 +116,54 @@ class DataIdentification:
     estimate
         Poles and mode shapes fitted by maximum likelihood.
     model
-        The same fit as a continuous state-space model.
-    warnings
-        About the data, one sentence each.
+        The same fit as a continuous state-space model; its input delay is that which all outputs have.
+    delays
+        By output, against the inputs; those that are certain.
     """
 
-    data: MeasuredData
+    tests: tuple[Test, ...]
+    records: tuple[Test, ...]
     band: tuple[float, float]
     responses: tuple[FrequencyResponse, ...]
     estimate: PoleEstimate
     model: LinearModel
-    warnings: tuple[str, ...]
+    delays: Mapping[str, Delay]
+
+    @property
+    def source(self) -> str:
+        """The records' names."""
+        return _sources(self.tests)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """About the data, one sentence each."""
+        texts, period = [text for test in self.tests for text in test.warnings], self.tests[0].sample_period
+        by_words: dict[str, list[str]] = {}
+        for name, delay in self.delays.items():
+            by_words.setdefault(delay.words(period), []).append(name)
+        for words, names in by_words.items():
+            texts.append(f"{self.source}: {', '.join(names)} {words} against the inputs: taken into account")
+        return tuple(texts)
 
     @property
     def pairs(self) -> tuple[PoleInterval, ...]:
-        """Modes within the band with their intervals, lowest frequency first; without heavily damped pole pairs."""
+        """Modes within the band with their intervals, lowest frequency first.
+
+        Heavily damped pairs, and those that are not sure (`PoleInterval.is_sure`), stay in the model
+        and are no modes.
+        """
         low, high = (2 * np.pi * edge for edge in self.band)
         modes = [pair for pair in self.estimate.pairs() if low <= pair.frequency <= high]
-        return tuple(pair for pair in modes if pair.damping < HEAVY_DAMPING)
+        return tuple(pair for pair in modes if pair.damping < HEAVY_DAMPING and pair.is_sure)
+
+    def in_time(self, test: Test) -> Test:
+        """Another `test` of these channels, its outputs moved in time as those of the records used."""
+        common = self.model.input_delay[0]
+        return test.in_time({name: delay.seconds - common for name, delay in self.delays.items()})
 
 
 def identify_data(
-    data: MeasuredData,
+    data: Test | Sequence[Test],
     options: DataOptions | None = None,
     progress: Callable[[str, float], None] = lambda _step, _fraction: None,
 ) -> DataIdentification:
@@ -105,7 +172,7 @@ def identify_data(
     Parameters
     ----------
     data
-        One test; all its inputs may be excited at once, by signals that are not proportional.
+        One or several records; all inputs may be excited at once, by signals that are not proportional.
     options
         By default those of `DataOptions`.
     progress
@@ -116,40 +183,192 @@ def identify_data(
     AbraceError
         If the data or an option cannot be used, or no stable model is found.
     """
-    options = options or DataOptions()
-    if options.most_modes < 1:
-        raise AbraceError(f"identification: most_modes {options.most_modes}, expected at least 1")
-    samples = len(data.outputs)
-    if samples < LEAST_SAMPLES:
-        raise AbraceError(f"{data.source}: {samples} samples, expected at least {LEAST_SAMPLES}")
-    band = options.band or (LEAST_LINES / data.seconds, 0.5 / data.sample_period)
+    tests = of_one_rig(data)
+    inputs = tests[0].inputs
+    options = options or DataOptions(inputs=inputs)
+    for test in tests:
+        if len(test.outputs) < LEAST_SAMPLES:
+            raise AbraceError(f"{test.source}: {len(test.outputs)} samples, expected at least {LEAST_SAMPLES}")
+    band = options.band
+    if band == NOT_GIVEN:
+        bands = [steady_band(test, inputs, LEAST_LINES / test.seconds) for test in tests]
+        band = max(low for low, _ in bands), min(high for _, high in bands)
     progress("checking the data", 0.0)
-    left_out, warnings = check_channels(data, data.inputs, band)
-    data = data.select([name for name in data.names if name not in left_out])
-    progress("transfer functions", 0.05)
-    responses = frequency_responses(data, data.inputs, band, options.transfer_function)
+    tests = tuple(prepared(test, dict.fromkeys(inputs, band)) for test in tests)
+    dead = {name for test in tests for name in test.faults}
+    alive = [test.select([name for name in test.names if name not in dead]) for test in tests]
 
-    def observed(part: MeasuredData) -> Observation:
-        return Observation.of_spectra(spectra_of(part, part.inputs, band), part.source)
+    progress("transfer functions", 0.05)
+    responses = frequency_responses(alive, inputs, band, options)
 
     def found_so_far(modes: int) -> None:
-        progress(f"modes: {modes}", 0.1 + 0.8 * modes / (modes + 10))
+        progress(f"modes: {modes}", 0.1 + 0.7 * modes / (modes + 10))
+
+    def search(records: Sequence[Test]) -> tuple[PoleEstimate, int]:
+        return search_modes(
+            records, band, options.most_modes, lambda fit, one: predicted(modal_model(fit, {}), one), found_so_far
+        )
 
     found_so_far(0)
-    whole = observed(data)
-    halves = observed(data.part(0, samples // 2)), observed(data.part(samples // 2, samples))
-    poles = search_modes(halves, options.most_modes, found_so_far)
+    estimate, modes = search(alive)
+    progress("delays of outputs", 0.8)
+    delays, records = _delays(alive, band, estimate, modes), alive
+    if delays:
+        records = [one.in_time({name: delay.seconds for name, delay in delays.items()}) for one in alive]
+        estimate, modes = search(records)
+    common = _common(delays, alive[0])
+    apart = {name: delay.seconds - common for name, delay in delays.items()}
+    used = tuple(one.in_time(apart) for one in alive)
+    if delays:
+        responses = frequency_responses(used, inputs, band, options)
     progress("maximum likelihood", 0.9)
-    estimate = fit_with_residual_terms(whole, poles, spread="none")
-    estimate = fit_with_residual_terms(weighed([whole], estimate)[0], estimate.poles[: len(poles)])
+    whole = observed(records, band)
+    try:
+        estimate = fit_with_residual_terms(weighed(whole, estimate), estimate.poles[:modes])
+    except AbraceError:
+        # a pair that the weights make unstable: the modes as they were found, with all lines alike
+        estimate = fit_with_residual_terms(whole, estimate.poles[:modes], 0)
     provenance = {
-        "data": data.source,
-        "seconds": data.seconds,
+        "data": _sources(tests),
+        "seconds": sum(test.seconds for test in tests),
         "band": list(band),
         "method": responses[0].method,
-        "options": asdict(options),
-        "hold": data.hold,
-        "states": f"{len(poles)} modes by maximum likelihood, and one pair for each input that represents modes above",
+        "options": options.model_dump(),
+        "hold": tests[0].hold,
+        "output_delays": apart,
+        "states": f"{modes} modes by maximum likelihood, and one pair for each input that represents modes above",
     }
+    model = replace(modal_model(estimate, provenance), input_delay=(common,) * len(inputs))
     progress("identified", 1.0)
-    return DataIdentification(data, band, responses, estimate, modal_model(estimate, provenance), warnings)
+    return DataIdentification(tests, used, band, responses, estimate, model, delays)
+
+
+ROUNDS = 6
+"""Most rounds of delays for these modes and modes for these delays."""
+
+
+def _delays(records: Sequence[Test], band: tuple[float, float], estimate: PoleEstimate, modes: int) -> dict[str, Delay]:
+    """The certain delays, by output. The modes fitted without them are refined with them in turn."""
+    poles, whole = _modes_alone(estimate.poles[:modes], band), observed(records, band)
+    if not len(poles):
+        return {}
+    first = output_delays(whole, np.concatenate([poles, residual_poles(whole[0])[:1]]))
+    found = {name: delay for name, delay in zip(records[0].names, first, strict=True) if delay.is_certain}
+    for _ in range(ROUNDS if found else 0):
+        whole = observed([one.in_time({name: delay.seconds for name, delay in found.items()}) for one in records], band)
+        try:
+            poles = _modes_alone(fit_with_residual_terms(whole, poles, spread="none").poles[: len(poles)], band)
+        except AbraceError:
+            break
+        more = output_delays(whole, np.concatenate([poles, residual_poles(whole[0])[:1]]))
+        step = dict(zip(records[0].names, more, strict=True))
+        found = {
+            name: delay._replace(seconds=delay.seconds + step[name].seconds, deviation=step[name].deviation)
+            for name, delay in found.items()
+        }
+        if max(abs(step[name].seconds) for name in found) < SETTLED * records[0].sample_period:
+            break
+    return {name: delay for name, delay in found.items() if delay.is_certain}
+
+
+def _modes_alone(poles: NDArray[np.complex128], band: tuple[float, float]) -> NDArray[np.complex128]:
+    """The light pairs in the band; a heavy one may represent a delay."""
+    size = np.abs(poles)
+    return poles[(poles.imag > 0) & (-poles.real < HEAVY_DAMPING * size) & (size < 2 * np.pi * band[1])]
+
+
+def _common(delays: Mapping[str, Delay], record: Test) -> float:
+    """The delay [s] that all outputs of a record have, as a delay of the inputs; 0: there is none."""
+    return max(0.0, min(delays[name].seconds if name in delays else 0.0 for name in record.names))
+
+
+def _sources(tests: Sequence[Test]) -> str:
+    return ", ".join(dict.fromkeys(test.source for test in tests))
+
+
+@takes_models
+def variance_accounted_for(
+    model: LinearModel, data: Test | Sequence[Test], band: tuple[float, float] | None = None
+) -> NDArray[np.float64]:
+    """(outputs,) 1 minus the ratio of the variances of prediction error and measured output, of what is in a band.
+
+    NaN: the output does not move, has a value that is not finite, or all outputs of a record together have no more
+    samples than the model has states, with which any initial state fits.
+
+    Parameters
+    ----------
+    model, band
+        As for `predicted`.
+    data
+        One or several records, each with its own initial state.
+    """
+    records = (data,) if isinstance(data, Test) else tuple(data)
+    measured = [one.channels(model.outputs) for one in records]
+    share = np.full(len(model.outputs), np.nan)
+    if all(
+        each.size > model.order and np.isfinite(one.excitation).all()
+        for one, each in zip(records, measured, strict=True)
+    ):
+        moving = np.all([np.isfinite(each).all(axis=0) & (np.ptp(each, axis=0) > 0) for each in measured], axis=0)
+        names = [name for name, moves in zip(model.outputs, moving, strict=True) if moves]
+        if names:
+            missed, whole = 0.0, 0.0
+            for one, each in zip(records, measured, strict=True):
+                kept = _within(band, one, each[:, moving])
+                missed = missed + len(kept) * np.var(kept - predicted(model.select(names), one, band), axis=0)
+                whole = whole + len(kept) * np.var(kept, axis=0)
+            share[moving] = 1 - missed / whole
+    return share
+
+
+@takes_models
+def predicted(model: LinearModel, data: Test, band: tuple[float, float] | None = None) -> NDArray[np.float64]:
+    """(samples, outputs) the model's response to the inputs, with the initial state that fits the outputs best.
+
+    Parameters
+    ----------
+    model
+        Stable, with inputs and outputs that the data contain; the outputs move. A continuous model is used with the
+        data's hold; a discrete one is simulated sample by sample.
+    data
+        The test. The inputs' means are subtracted; the outputs' means are kept.
+    band
+        Only what lies in this band [Hz] is fitted and returned, with the means; None: everything.
+    """
+    inputs = data.channels(model.inputs)
+    measured = data.channels(model.outputs)
+    inputs, offset = inputs - inputs.mean(axis=0), measured.mean(axis=0)
+    samples = len(inputs)
+    if not model.sample_period and data.hold != "band":
+        model = discretize(model, data.sample_period)
+    if model.sample_period:
+        forced = simulate(model, inputs)
+    else:
+        omega = 2 * np.pi * fft.rfftfreq(samples, data.sample_period)
+        response = model.frequency_response(omega)
+        forced = fft.irfft(np.einsum("fpm,fm->fp", response, fft.rfft(inputs, axis=0)), samples, axis=0)
+    values, vectors = np.linalg.eig(model.a)
+    step = values if model.sample_period else np.exp(values * data.sample_period)
+    upper = np.flatnonzero(values.imag >= 0)
+    size = measured.std(axis=0)
+    columns = []
+    for i in upper:
+        free = np.outer(step[i] ** np.arange(samples), (model.c @ vectors[:, i]) / size)
+        parts = (free.real, free.imag) if values[i].imag > 0 else (free.real,)
+        columns += [_within(band, data, part).ravel() for part in parts]
+    basis = np.column_stack(columns)
+    length = np.linalg.norm(basis, axis=0)
+    basis /= np.where(length > 0, length, 1.0)
+    forced, measured = _within(band, data, forced), _within(band, data, measured - offset)
+    left_over = ((measured - forced) / size).ravel()
+    fitted = basis @ np.linalg.lstsq(basis, left_over, rcond=1e-12)[0]
+    return np.asarray(offset + forced + fitted.reshape(forced.shape) * size)
+
+
+def _within(band: tuple[float, float] | None, data: Test, series: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The part of a `series` (samples, columns) of the data that lies in a band [Hz]; None: all of it."""
+    if band is None:
+        return series
+    frequency = fft.rfftfreq(len(series), data.sample_period)[:, None]
+    lines = fft.rfft(series, axis=0) * ((frequency >= band[0]) & (frequency <= band[1]))
+    return np.asarray(fft.irfft(lines, len(series), axis=0))

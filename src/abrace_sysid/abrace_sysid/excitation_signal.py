@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
-from abrace_core.multisine import repeated_multisine
-from abrace_core.noise import banded_noise
+from abrace_core import AbraceError
+from abrace_core.model.multisine import repeated_multisine
+from abrace_core.model.noise import banded_noise
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,8 +24,6 @@ def excitation_signal(given: Any, groups: int) -> NDArray[np.float64]:
     ----------
     given
         Parameter values of the node `excitation`.
-    groups
-        Number of brace groups.
 
     Raises
     ------
@@ -51,7 +49,6 @@ def excitation_signal(given: Any, groups: int) -> NDArray[np.float64]:
             rms,
             given.seed,
             given.lines,
-            given.slope,
             share=(group, groups),
         )
 

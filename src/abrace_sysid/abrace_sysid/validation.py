@@ -12,31 +12,46 @@ that part, the estimate is too low and the model's error comes out too large, ne
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import nan
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft
 
-from abrace_core import signals
-from abrace_core.discretization import discretize
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import takes_models
-from abrace_core.response import PeakRms, peak_rms_of
-from abrace_core.sequence import breaks
-from abrace_core.simulation import simulate, simulate_closed_loop
-from abrace_sysid.nonlinear.motion import simulate_nonlinear
-from abrace_sysid.validity.prediction import prediction_finding
+from abrace_core import AbraceError
+from abrace_core.model import signals
+from abrace_core.model.discretization import discretize
+from abrace_core.model.linear_model import takes_models
+from abrace_core.model.response import PeakRms, peak_rms_of
+from abrace_core.model.simulation import simulate, simulate_closed_loop
+from abrace_sysid.examination import require_rig
+from abrace_sysid.recorded.series import hann_power
+from abrace_sysid.recorded.test import given_tests
+from abrace_sysid.validity.finding import prediction_finding
+from abrace_sysid.validity.motion import noise_between
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
-    from abrace_core.linear_model import LinearModel
-    from abrace_core.run import Run
-    from abrace_sysid.nonlinear.elements import Nonlinearity
+    from abrace_core.model.linear_model import LinearModel
+    from abrace_sysid.recorded.test import AnyTest
     from abrace_sysid.validity.finding import Finding
+
+STILL = "did not move, against the simulation"
+"""Why no error can be computed of a channel whose sensor is dead, or which the model predicts wrongly."""
 
 NOISE_BAND = 0.8
 """Above this share of half the sample rate a record contains only sensor noise."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How well one channel is simulated: what `Comparison` has methods for."""
+
+    correlation: float
+    normalised_rms_error: float
+    noise_free_error: float
 
 
 @dataclass(frozen=True)
@@ -45,14 +60,14 @@ class Comparison:
 
     Parameters
     ----------
-    source
-        The test.
     time
         (samples,) [s].
     names
-        Names of the recorded quantities and the commands, as in the rows of Table 1.
+        Names of the recorded quantities that the model has, and of the commands, as in the rows of Table 1.
     measured, simulated
         (samples, names), SI units.
+    left_out
+        Names of the recorded quantities that the model does not have.
     """
 
     source: str
@@ -60,15 +75,21 @@ class Comparison:
     names: tuple[str, ...]
     measured: NDArray[np.float64]
     simulated: NDArray[np.float64]
+    left_out: tuple[str, ...] = ()
 
     def correlation(self) -> dict[str, float]:
-        """Correlation coefficient of measured and simulated, by channel; constant channels are left out."""
+        """Correlation coefficient of measured and simulated, by channel, of those that move in both."""
         return {
-            name: float(np.corrcoef(self.measured[:, j], self.simulated[:, j])[0, 1]) for j, name in self._varying()
+            name: float(np.corrcoef(self.measured[:, j], self.simulated[:, j])[0, 1])
+            for j, name in self._judged()
+            if np.ptp(self.simulated[:, j]) > 0
         }
 
     def normalised_rms_error(self) -> dict[str, float]:
-        """Rms of simulated minus measured over rms of measured, by channel; constant channels are left out."""
+        """Rms of simulated minus measured over rms of measured, by channel.
+
+        Channels that did not move, or have a value that is not finite, are left out.
+        """
         return self._error_over_size(np.zeros(len(self.names)))
 
     def noise_free_error(self) -> dict[str, float]:
@@ -78,27 +99,30 @@ class Comparison:
         """
         return self._error_over_size(self.noise())
 
+    def agreement(self) -> dict[str, Agreement]:
+        """All three, of the channels that move in both."""
+        error, noise_free = self.normalised_rms_error(), self.noise_free_error()
+        return {name: Agreement(value, error[name], noise_free[name]) for name, value in self.correlation().items()}
+
     def noise(self) -> NDArray[np.float64]:
-        """(names,) standard deviation of each channel's sensor noise, estimated from the record; 0 for commands.
+        """(names,) standard deviation of each sensor's noise, from the record above NOISE_BAND; 0: a command."""
+        lines = len(self.measured) // 2 + 1
+        finite = np.where(np.isfinite(self.measured), self.measured, 0.0)
+        noise = noise_between(hann_power(finite), (int(NOISE_BAND * lines), lines))
+        return np.where([name[0] == "U" for name in self.names], 0.0, noise)
 
-        It follows from the median power above NOISE_BAND with a Hann window, which hum and leakage do not affect.
+    def peak_rms_error(self) -> float | None:
+        """Relative error of the simulated peak and rms, mean of the absolute values over peak, rms and channels.
+
+        None: no channel can be judged.
         """
-        window = np.hanning(len(self.measured))[:, None]
-        power = np.abs(fft.rfft(self.measured * window, axis=0)) ** 2 / np.sum(window**2)
-        of_lines = power[int(NOISE_BAND * len(power)) :]
-        # an exponential distribution's median is log(2) times its mean
-        noise = np.sqrt(np.median(of_lines, axis=0) / np.log(2))
-        return np.array([0.0 if name[0] == "U" else float(noise[j]) for j, name in enumerate(self.names)])
-
-    def peak_rms_error(self) -> float:
-        """Relative error of the simulated peak and rms, mean of the absolute values over peak, rms and channels."""
         measured, simulated = self.measured_peak_rms(), self.simulated_peak_rms()
         ratios = [
             found / true
-            for _, name in self._varying()
+            for _, name in self._judged()
             for found, true in zip(simulated[name], measured[name], strict=True)
         ]
-        return float(np.mean(np.abs(np.array(ratios) - 1)))
+        return float(np.mean(np.abs(np.array(ratios) - 1))) if ratios else None
 
     def measured_peak_rms(self) -> dict[str, PeakRms]:
         """Peak and rms as measured [SI units]."""
@@ -109,79 +133,94 @@ class Comparison:
         return peak_rms_of(self.names, self.simulated)
 
     def _error_over_size(self, noise: NDArray[np.float64]) -> dict[str, float]:
-        power = np.mean((self.simulated - self.measured) ** 2, axis=0) - noise**2
-        error, size = np.sqrt(np.maximum(power, 0.0)), np.sqrt(np.mean(self.measured**2, axis=0))
-        return {name: float(error[j] / size[j]) for j, name in self._varying()}
+        found = {}
+        for j, name in self._judged():
+            power = np.mean((self.simulated[:, j] - self.measured[:, j]) ** 2) - noise[j] ** 2
+            found[name] = float(np.sqrt(max(power, 0.0) / np.mean(self.measured[:, j] ** 2)))
+        return found
 
-    def _varying(self) -> list[tuple[int, str]]:
-        return [
-            (j, name)
-            for j, name in enumerate(self.names)
-            if np.ptp(self.measured[:, j]) > 0 and np.ptp(self.simulated[:, j]) > 0
-        ]
+    def unjudged(self) -> dict[str, str]:
+        """The recorded quantities of which no error can be computed, each with the reason."""
+        found = {}
+        for j, name in enumerate(self.names):
+            if not np.isfinite(self.measured[:, j]).all():
+                found[name] = "has values that are not finite"
+            elif not np.isfinite(self.simulated[:, j]).all():
+                found[name] = "is not finite in the simulation"
+            elif not np.ptp(self.measured[:, j]):
+                found[name] = STILL if np.ptp(self.simulated[:, j]) else "did not move, nor in the simulation"
+        return found | dict.fromkeys(self.left_out, "is not in the model")
+
+    def _judged(self) -> list[tuple[int, str]]:
+        unjudged = self.unjudged()
+        return [(j, name) for j, name in enumerate(self.names) if name not in unjudged]
 
 
 @takes_models
 def compare(
-    run: Run,
+    given: AnyTest | Sequence[AnyTest],
     model: LinearModel,
-    controller: LinearModel | None,
-    capacity: NDArray[np.float64],
+    controller: LinearModel | None = None,
+    capacity: NDArray[np.float64] | None = None,
     correction: NDArray[np.float64] | None = None,
-    not_linear: Nonlinearity | None = None,
 ) -> Comparison:
     """Simulate a recorded test and compare it with the record.
 
     Parameters
     ----------
-    run
-        The test; it begins at rest.
+    given
+        One test of a rig; it begins at rest.
     model
-        Continuous, from the ground acceleration and the commands to the run's quantities.
+        Continuous, from the ground acceleration and the commands to some of the test's quantities; the others are not
+        compared.
     controller
-        Discrete, from some of the run's quantities to the commands, as in Eq. (13); None: the recorded command drives
+        Discrete, from some of the test's quantities to the commands, as in Eq. (13); None: the recorded command drives
         the model.
     capacity
-        (commands,) greatest command [N].
+        (commands,) greatest command [N]; None: any.
     correction
         (controller's states, commands): the controller's G_d, as in `simulate_closed_loop`.
-    not_linear
-        Nonlinear elements that act on the model; None: the linear model alone is simulated.
 
     Raises
     ------
     AbraceError
-        If model, controller and run are not of the same rig, or the record has a gap.
+        If there is not one test, it has a gap, or model, controller and test are not of the same rig.
     """
-    wanted = (signals.GROUND, *run.command_names)
-    missing = [name for name in wanted if name not in model.inputs] + [n for n in run.names if n not in model.outputs]
+    test, *more = given_tests(given)
+    if more:
+        raise AbraceError(f"{test.source}: {1 + len(more)} tests, expected one")
+    require_rig(test)
+    wanted, shared = (signals.GROUND, *test.commands), tuple(n for n in test.names if n in model.outputs)
+    missing = [name for name in wanted if name not in model.inputs] or ([] if shared else test.names)
     if missing:
-        raise AbraceError(f"{run.source}: the model has no signal {', '.join(missing)}, expected a model of this rig")
-    if len(run.outputs) < 2 or breaks(run.sequence).size:
-        raise AbraceError(f"{run.source}: expected two or more consecutive samples without a gap")
-    if len(capacity) != run.groups:
-        raise AbraceError(f"{run.source}: {len(capacity)} capacities, expected one for each of {run.groups} commands")
-    unmeasured = [name for name in controller.inputs if name not in run.names] if controller else []
-    if unmeasured:
-        raise AbraceError(f"{run.source}: the controller measures {', '.join(unmeasured)}, which the run does not have")
-    ground, wanted_model = run.ground_acceleration, model.select(run.names, wanted)
-    given = np.clip(run.command_from_here, -capacity, capacity)
-    if not_linear is not None:
-        law = controller, capacity, correction
-        motion = simulate_nonlinear(wanted_model, not_linear, run.sample_period, ground, given, *law)
-        simulated, commands = motion.outputs, motion.commands if controller else run.command
-    elif controller is None:
-        simulated = simulate(discretize(wanted_model, run.sample_period), np.column_stack([ground, given]))
-        commands = run.command
+        raise AbraceError(f"{test.source}: the model has no signal {', '.join(missing)}, expected a model of this rig")
+    if len(test.outputs) < 2:
+        raise AbraceError(f"{test.source}: {len(test.outputs)} samples, expected two or more")
+    capacity = np.full(test.groups, np.inf) if capacity is None else capacity
+    if len(capacity) != test.groups:
+        raise AbraceError(f"{test.source}: {len(capacity)} capacities, expected one for each of {test.groups} commands")
+    for who, has in (("test", test.names), ("model", shared)):
+        unmeasured = [name for name in controller.inputs if name not in has] if controller else []
+        if unmeasured:
+            lacks = f"which the {who} does not have"
+            raise AbraceError(f"{test.source}: the controller measures {', '.join(unmeasured)}, {lacks}")
+    ground, wanted_model = test.channel(signals.GROUND), model.select(shared, wanted)
+    from_here = test.channels(test.commands)
+    # as recorded with each sample: the command that acts until it
+    until = np.vstack([np.zeros((1, test.groups)), from_here[:-1]])
+    driving = np.clip(from_here, -capacity, capacity)
+    sampled = discretize(wanted_model, test.sample_period)
+    if controller is None:
+        simulated, commands = simulate(sampled, np.column_stack([ground, driving])), until
     else:
-        sampled = discretize(wanted_model, run.sample_period)
         simulated, commands = simulate_closed_loop(sampled, controller, ground, capacity, correction)
     return Comparison(
-        run.source,
-        run.time,
-        (*run.names, *run.command_names),
-        np.hstack([run.outputs, run.command]),
+        test.source,
+        np.arange(len(ground), dtype=np.float64) * test.sample_period,
+        (*shared, *test.commands),
+        np.hstack([test.channels(shared), until]),
         np.hstack([simulated, commands]),
+        tuple(name for name in test.names if name not in shared),
     )
 
 
@@ -193,4 +232,7 @@ def predicted(comparison: Comparison) -> Finding:
     comparison
         The measured and the simulated test; commands do not count.
     """
-    return prediction_finding({name: e for name, e in comparison.noise_free_error().items() if name[0] != "U"})
+    reasons = {name: why for name, why in comparison.unjudged().items() if name[0] != "U"}
+    errors = {name: error for name, error in comparison.noise_free_error().items() if name[0] != "U"}
+    # a sensor that misses all of the simulated motion is off by that motion
+    return prediction_finding(errors | {name: 1.0 if why == STILL else nan for name, why in reasons.items()}, reasons)

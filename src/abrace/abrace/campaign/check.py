@@ -9,23 +9,20 @@ from abrace.campaign.demands import Signals, wrong_test
 from abrace.campaign.file import refuse
 from abrace.campaign.laboratory import Laboratories, program_of
 from abrace.campaign.offline import wrong_offline
-from abrace.campaign.tasks import RigTest
-from abrace_core.errors import AbraceError
+from abrace.campaign.tasks import Design, RigTest
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from abrace.campaign.file import Campaign
     from abrace.campaign.tasks import Task
 
 
 class CheckedCampaign:
-    """A campaign that has passed every check that is possible before the first test.
+    """A campaign, as far as it could be read, that has passed every check that is possible before the first test.
 
-    Parameters
-    ----------
-    campaign
-        The content of its file.
+    `mistakes` of reading it are refused with those found here.
 
     Raises
     ------
@@ -33,7 +30,7 @@ class CheckedCampaign:
         With a line for each mistake: the file, the step, the key and what was expected.
     """
 
-    def __init__(self, campaign: Campaign) -> None:
+    def __init__(self, campaign: Campaign, mistakes: Sequence[str] = ()) -> None:
         self.campaign = campaign
         self.laboratories = Laboratories(campaign)
         self.signals = Signals()
@@ -41,8 +38,8 @@ class CheckedCampaign:
         if not found:
             for step in campaign.steps:
                 found += [f"step {step.name}: {problem}" for problem in self._wrong_step(step.task)]
-        if found:
-            refuse([f"campaign file {campaign.path}: {problem}" for problem in found])
+        if found or mistakes:
+            refuse([*mistakes, *(f"campaign file {campaign.path}: {problem}" for problem in found)])
 
     def _wrong_rigs(self) -> list[str]:
         """Mistakes in rigs, devices and the user's rig nodes; nothing else can be checked without these."""
@@ -65,6 +62,11 @@ class CheckedCampaign:
     def _wrong_step(self, task: Task) -> Iterator[str]:
         campaign = self.campaign
         if isinstance(task, RigTest):
-            yield from wrong_test(task, self.laboratories.of(task), campaign.in_lockstep(task), self.signals)
+            laboratory = self.laboratories.of(task)
+            yield from wrong_test(task, laboratory, campaign.in_lockstep(task), self.signals)
+            design, rate = campaign.tasks.get(str(task.controller)), laboratory.rig.sample_rate
+            if isinstance(design, Design) and design.sample_period and abs(design.sample_period * rate - 1) > 1e-9:
+                given = f"{task.controller} samples every {design.sample_period:g} s"
+                yield f"test.controller: {given}, expected {1 / rate:g} s"
         else:
             yield from wrong_offline(task, campaign.tests, self.laboratories.behind(task)[0].rig)

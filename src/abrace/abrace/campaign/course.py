@@ -8,27 +8,31 @@ which replaces `results/NAME` when it is complete.
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import os
+import platform
+import shlex
 import sys
 import time
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from abrace.campaign.done import DoneSteps, copy_results
 from abrace.campaign.folders import Folders
 from abrace.campaign.inputs import Inputs
-from abrace.campaign.origin import write_origin
 from abrace.campaign.plan import check_campaign
 from abrace.campaign.runner import Runner
 from abrace.campaign.tasks import RigTest
-from abrace.report.happenings import doubts
+from abrace.nodes.graph_monitor import GraphMonitor
+from abrace.report.events import warnings_of
 from abrace.report.results import read_results
 from abrace.report.writer import make_report
-from abrace_core.errors import AbraceError, RunFailed
-from abrace_core.files import make_folder, write_text
-from abrace_core.progress import Progress
+from abrace_core import AbraceError, RunFailed
+from abrace_core.files.checksum import file_checksum
+from abrace_core.files.progress import Progress
+from abrace_core.files.writing import make_folder, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,23 +40,34 @@ if TYPE_CHECKING:
     from abrace.campaign.display import Display, DisplayedStep
     from abrace.campaign.file import Step
     from abrace.campaign.laboratory import Laboratory
-    from abrace.nodes.graph_monitor import GraphMonitor
-    from abrace_core.progress import Step as ShownStep
+    from abrace_core.files.progress import Step as ShownStep
+
+LOOK = 1.5
+"""Seconds in which a rig is found that runs in the campaign's namespace: abrace's within 0.2 s, campaigns within 0.6 s.
+
+A rig with Fast DDS's own profile, which repeats every 3 s what a new node has missed, may take 2.5 s; one that is found
+later has a publisher too many when the nodes find each other.
+"""
+
+
+PACKAGES = ("abrace", "numpy", "scipy", "numba", "matplotlib", "pydantic", "mcap")
+"""Packages whose versions are written."""
 
 
 class Outcome(NamedTuple):
-    """The outcome of a campaign: the folder of its results, its tables, and reasons not to trust tests."""
+    """The outcome of a campaign: the folders of its results and bags, its tables, and reasons not to trust tests."""
 
     results: Path
+    bags: list[Path]
     tables: str
-    doubts: list[str]
+    warnings: list[str]
 
 
 class _Course:
-    """Runs a campaign from its first step that is not complete; `start`: as for `run_campaign`."""
+    """Runs a campaign from its first step that is not complete; `start`: as for `run_campaign`; `seconds` of steps."""
 
-    def __init__(self, runner: Runner, folders: Folders, start: str | None) -> None:
-        self._runner, self._folders = runner, folders
+    def __init__(self, runner: Runner, folders: Folders, start: str | None, seconds: list[float]) -> None:
+        self._runner, self._folders, self._seconds = runner, folders, seconds
         self._campaign = runner.campaign
         self._names = [step.name for step in self._campaign.steps]
         self._start = start
@@ -94,18 +109,29 @@ class _Course:
         """Run every step that is not complete, write the report, and replace the last results."""
         self._runner.done = self._done
         write_origin(self._folders.unfinished, self._campaign.path)
-        with self._display() as progress:
+        with self._present(), self._display() as progress:
             self._run_steps(progress)
         try:
             self._write_timing()
             tables = make_report(self._folders.unfinished)
             self._folders.settle_report()
-            doubtful = doubts(read_results(self._folders.unfinished).timing)
+            warnings = warnings_of(read_results(self._folders.unfinished).timing)
             self._folders.swap_in()
         except BaseException:
             self._print_how_to_continue("the report")
             raise
-        return Outcome(self._folders.results, tables, doubtful)
+        bags = {Path(self._runner.bag_of(name)).parent: None for name in self._campaign.tests}
+        return Outcome(self._folders.results, list(bags), tables, warnings)
+
+    @contextlib.contextmanager
+    def _present(self) -> Iterator[None]:
+        """Expect no other rig in the campaign's namespace; meanwhile another campaign finds this one there."""
+        if not self._campaign.tests:
+            yield
+            return
+        with GraphMonitor(f"/{self._campaign.name}", (), name="campaign") as monitor:
+            monitor.expect_no_rig(LOOK)
+            yield
 
     @contextlib.contextmanager
     def _display(self) -> Iterator[Progress | Display]:
@@ -115,7 +141,7 @@ class _Course:
             return
         from abrace.campaign.display import Display, Graph, peaks_of
 
-        with Display(self._campaign.name, len(self._names)) as display:
+        with Display(self._campaign.name, self._seconds) as display:
 
             def seen(monitor: GraphMonitor, lab: Laboratory) -> None:
                 peaks = peaks_of(monitor.values.get("plant", {}))
@@ -160,7 +186,7 @@ class _Course:
         }
         if failed is not None:
             timing["failed"] = failed
-        write_text(self._folders.unfinished / "timing.json", json.dumps(timing, indent=1))
+        write_json(self._folders.unfinished / "timing.json", timing)
 
     def _leave(self, step: str, error: BaseException) -> None:
         """Report the steps done before the one that failed; print where the results are."""
@@ -178,6 +204,27 @@ class _Course:
         print(f"abrace: {count}, {where}", file=sys.stderr, flush=True)
 
 
+def write_origin(results: Path, campaign_file: Path) -> None:
+    """Write origin.json into the folder of `results`, before the campaign of `campaign_file` runs."""
+    middleware = os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+    origin = {
+        "command": f"abrace campaign {shlex.quote(str(campaign_file))}",
+        "begun": datetime.now(UTC).isoformat(timespec="seconds"),
+        "campaign_file": {
+            "path": str(campaign_file),
+            "sha256": file_checksum(campaign_file),
+            "text": campaign_file.read_bytes().decode(),
+        },
+        "versions": {
+            "python": platform.python_version(),
+            **{name: version(name) for name in PACKAGES},
+            "middleware": middleware,
+            "system": platform.platform(),
+        },
+    }
+    write_json(results / "origin.json", origin)
+
+
 def run_campaign(path: Path, start: str | None = None) -> Outcome:
     """Run the steps of a campaign file that are not complete, write the report, and replace the last results.
 
@@ -193,7 +240,7 @@ def run_campaign(path: Path, start: str | None = None) -> Outcome:
     AbraceError
         If the file is wrong, a ground motion exceeds the table's limits, or a step before `start` is not complete.
     RunFailed
-        If a node dies or refuses a transition, a fault occurs, or a step fails.
+        If a rig runs in the campaign's namespace, a node dies or refuses a transition, a fault occurs, or a step fails.
     """
     plan = check_campaign(path)
     for care in plan.cares:
@@ -202,4 +249,5 @@ def run_campaign(path: Path, start: str | None = None) -> Outcome:
     folders = Folders(campaign.name)
     with folders.locked() as lock:
         runner = Runner(campaign, laboratories, folders.unfinished, folders.new_bags(), lock)
-        return _Course(runner, folders, start).run()
+        seconds = [plan.seconds(step.name, step.task) for step in campaign.steps]
+        return _Course(runner, folders, start, seconds).run()

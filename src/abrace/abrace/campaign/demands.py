@@ -3,22 +3,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from abrace.campaign.laboratory import program_of
 from abrace.campaign.names import CONTROLLER_FILE
 from abrace.campaign.tasks import OwnController
-from abrace_core.controller_file import load_controller
-from abrace_core.errors import AbraceError
-from abrace_core.signals import command_names
-from abrace_plant.devices.simulated import sensor_faults
+from abrace_core import AbraceError
+from abrace_core.model.controller_file import load_controller
+from abrace_core.model.signals import command_names
+from abrace_plant.devices.simulated import check_faults
 from abrace_plant.nodes.record_parameters import MOTION_PARAMETERS, motion_as_given
+from abrace_plant.rig.table_file import NOT_DRIVEN
 from abrace_sysid.excitation_signal import excitation_signal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     import numpy as np
     from numpy.typing import NDArray
@@ -26,37 +27,21 @@ if TYPE_CHECKING:
     from abrace.campaign.drives import Excitation, GroundMotion
     from abrace.campaign.laboratory import Laboratory
     from abrace.campaign.tasks import RigTest
-    from abrace_core.controller_file import Controller
+    from abrace_core.model.controller_file import Controller
+    from abrace_plant.rig.model import Rig
 
 LEAST_EXCITATION = 2.0
 """Least duration of an excitation by noise [s]: it fades in and out within 1 s each."""
-
-
-@dataclass(frozen=True)
-class _Made:
-    laboratory: Laboratory
-    drive: object
-    duration: float
-    signal: NDArray[np.float64]
 
 
 class Signals:
     """The ground motions and excitations of a campaign's tests, each computed once."""
 
     def __init__(self) -> None:
-        self._made: list[_Made] = []
+        self._made: dict[tuple[Path, str, float], NDArray[np.float64]] = {}
 
     def motion(self, motion: GroundMotion, duration: float, laboratory: Laboratory) -> NDArray[np.float64]:
-        """The table's acceleration (samples,) [m/s^2].
-
-        Parameters
-        ----------
-        motion
-            The test's ground motion.
-        duration
-            Duration of the test [s].
-        laboratory
-            The test's laboratory.
+        """The table's acceleration (samples,) [m/s^2] in a `motion` for a `duration` [s] in a `laboratory`.
 
         Raises
         ------
@@ -66,9 +51,11 @@ class Signals:
 
         def make() -> NDArray[np.float64]:
             rig = laboratory.rig
-            given = {row.name: row.default for row in MOTION_PARAMETERS} | motion.parameters
-            values = SimpleNamespace(**given | {"sample_rate": rig.sample_rate})
-            return motion_as_given(values, rig.table, values.record, values.peak_acceleration, duration)
+            if not rig.table_driven:
+                raise AbraceError(f"rig {rig.name}: {NOT_DRIVEN}")
+            given = SimpleNamespace(**{row.name: row.default for row in MOTION_PARAMETERS} | motion.parameters)
+            asked = (given.record, given.peak_acceleration, duration)
+            return motion_as_given(given, rig.table, rig.sample_rate, *asked)
 
         return self._once(motion, duration, laboratory, make)
 
@@ -84,26 +71,16 @@ class Signals:
     def _once(
         self, drive: object, duration: float, laboratory: Laboratory, make: Callable[[], NDArray[np.float64]]
     ) -> NDArray[np.float64]:
-        for known in self._made:
-            if known.laboratory is laboratory and (known.drive, known.duration) == (drive, duration):
-                return known.signal
-        self._made.append(_Made(laboratory, drive, duration, make()))
-        return self._made[-1].signal
+        key = laboratory.rig_file, repr(drive), duration
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
 
 
 def wrong_test(test: RigTest, laboratory: Laboratory, lockstep: bool, signals: Signals) -> Iterator[str]:
-    """What a test requires that does not exist or is not possible.
+    """What a `test` requires of its `laboratory` that does not exist or is not possible, in `lockstep` or real time.
 
-    Parameters
-    ----------
-    test
-        The test.
-    laboratory
-        Of the test.
-    lockstep
-        Whether it runs in lockstep.
-    signals
-        The signals computed so far.
+    `signals` that are computed are kept.
     """
     if lockstep and not (test.ground_motion or test.excitation or test.controller):
         yield "a lockstep test without any input, expected ground motion or commands"
@@ -111,7 +88,7 @@ def wrong_test(test: RigTest, laboratory: Laboratory, lockstep: bool, signals: S
         ("test.ground_motion", lambda: _make_motion(test, laboratory, signals)),
         ("test.excitation", lambda: _make_excitation(test, laboratory, signals)),
         ("test.disconnected_braces", lambda: _disconnect(test, laboratory)),
-        ("test.sensor_faults", lambda: sensor_faults(test.sensor_faults, laboratory.rig)),
+        ("test.sensor_faults", lambda: check_faults(test.sensor_faults, laboratory.rig)),
         ("test.controller", lambda: _find_controller(test, laboratory)),
         ("test.force_limit", lambda: _check_limits(test, laboratory)),
     ):
@@ -144,27 +121,18 @@ def _find_controller(test: RigTest, laboratory: Laboratory) -> None:
     if isinstance(test.controller, OwnController):
         program_of(test.controller)
     elif test.controller and test.controller.endswith(CONTROLLER_FILE):
-        check_controller(load_controller(test.controller), laboratory, test.controller)
+        check_controller(load_controller(test.controller), laboratory.rig, test.controller)
 
 
-def check_controller(controller: Controller, laboratory: Laboratory, source: str) -> None:
-    """Refuse a controller that does not fit the rig.
-
-    Parameters
-    ----------
-    controller
-        The content of its file.
-    laboratory
-        The laboratory with the rig.
-    source
-        The file, for the message.
+def check_controller(controller: Controller, rig: Rig, source: str) -> None:
+    """Refuse a `controller` that does not fit the `rig`; `source`: its file, for the message.
 
     Raises
     ------
     AbraceError
         If the controller's measurements, commands or sample rate are not the rig's.
     """
-    rig, law = laboratory.rig, controller.law
+    law = controller.law
     unknown = [name for name in law.inputs if name not in rig.model.outputs]
     if unknown:
         raise AbraceError(f"{source} measures {', '.join(unknown)}, expected some of {', '.join(rig.model.outputs)}")

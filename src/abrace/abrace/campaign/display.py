@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live display of a campaign on a terminal: the step, time left, peaks, force against capacity, state of each node.
 
-Without a terminal `abrace_core.progress` prints plain lines; both have the same methods.
+Without a terminal `abrace_core.files.progress` prints plain lines; both have the same methods.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from typing import Self
 
     from rich.console import RenderableType
@@ -39,17 +39,7 @@ BAR = 10
 
 
 class Graph(NamedTuple):
-    """The reports of a test's nodes.
-
-    Parameters
-    ----------
-    reports
-        Report of each node.
-    peaks
-        Greatest values so far by quantity, in SI units.
-    capacity
-        Least capacity of the brace groups [N].
-    """
+    """The reports of a test's nodes; its peaks by quantity in SI units; the least capacity of the brace groups [N]."""
 
     reports: Mapping[str, NodeReport]
     peaks: Mapping[str, float]
@@ -67,24 +57,20 @@ def peaks_of(values: Mapping[str, str]) -> dict[str, float]:
 
 
 class Display:
-    """Shows the progress of a campaign, redrawn in place; a context manager.
+    """Shows the progress of the campaign `name`, redrawn in place; a context manager.
 
-    Parameters
-    ----------
-    name
-        Name of the campaign.
-    steps
-        Number of its steps.
-    console
-        The terminal; standard error by default.
-    clock
-        Function that returns the time [s].
+    `seconds`: estimated, of each step.
     """
 
     def __init__(
-        self, name: str, steps: int, console: Console | None = None, clock: Callable[[], float] = time.monotonic
+        self,
+        name: str,
+        seconds: Sequence[float],
+        console: Console | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._name, self._steps, self._clock = name, steps, clock
+        self._name, self._seconds, self._clock = name, seconds, clock
+        self._steps, self._took, self._estimated = len(seconds), 0.0, 0.0
         self._console = console or Console(stderr=True)
         self._number = 0
         self._step: DisplayedStep | None = None
@@ -118,6 +104,8 @@ class Display:
             raise
         finally:
             self._step = None
+            self._took += step.elapsed
+            self._estimated += self._seconds[self._number - 1]
             self._print(f"{step.title}: {outcome} {clock_time(step.elapsed)}{step.rate and f', {step.rate}'}")
 
     def see(self, graph: Graph) -> None:
@@ -128,22 +116,23 @@ class Display:
     def drawing(self) -> RenderableType:
         """The present content of the terminal."""
         step = self._step
-        return Text(self._name) if step is None else Group(*step.lines(self._name))
+        if step is None:
+            return Text(self._name)
+        return Group(*step.lines(self._name), Text(f"all steps: about {clock_time(self._left(step))} left"))
+
+    def _left(self, step: DisplayedStep) -> float:
+        """Seconds left for all steps: estimates of the plan, by how right they were for the steps that are done."""
+        factor = self._took / self._estimated if self._estimated else 1.0
+        present, *later = self._seconds[self._number - 1 :]
+        known = step.left
+        return (max(factor * present - step.elapsed, 0.0) if known is None else known) + factor * sum(later)
 
     def _print(self, line: str) -> None:
         self._console.print(line, markup=False, highlight=False)
 
 
 class DisplayedStep:
-    """The step that is running; `Display.step` makes it.
-
-    Parameters
-    ----------
-    title
-        Its number and name.
-    clock
-        Function that returns the time [s].
-    """
+    """The step that is running; `Display.step` makes it."""
 
     def __init__(self, title: str, clock: Callable[[], float]) -> None:
         self.title, self.rate = title, ""
@@ -159,7 +148,7 @@ class DisplayedStep:
         return self._clock() - self._start
 
     def update(self, fraction: float | None, rate: str = "") -> None:
-        """Report progress, at any rate: `fraction` and `rate` as in `abrace_core.progress`."""
+        """Report progress, at any rate: `fraction` and `rate` as in `abrace_core.files.progress`."""
         self.rate = rate or self.rate
         if fraction is not None:
             self._last = (self._clock(), min(max(fraction, 0.0), 1.0))
@@ -172,19 +161,21 @@ class DisplayedStep:
         cells: list[RenderableType] = [Text(name, style="bold"), Text(self.title)]
         if self._first is not None:
             cells += [ProgressBar(total=1.0, completed=fraction, width=BAR), Text(f"{fraction:.0%}")]
-        cells.append(Text(f"{clock_time(self.elapsed)}{self._left()}{self.rate and f', {self.rate}'}"))
+        left = "" if self.left is None else f", {clock_time(self.left)} left"
+        cells.append(Text(f"{clock_time(self.elapsed)}{left}{self.rate and f', {self.rate}'}"))
         head.add_row(*cells)
         drawn: list[RenderableType] = [head]
         if self.graph is not None:
             drawn += [*_peak_lines(self.graph), _node_table(self.graph.reports, self._clock())]
         return drawn
 
-    def _left(self) -> str:
+    @property
+    def left(self) -> float | None:
+        """Seconds left for this step, by its progress; None: nobody knows yet."""
         if self._first is None or self._last[1] <= self._first[1]:
-            return ""
+            return None
         (began, before), (now, fraction) = self._first, self._last
-        left = (now - began) / (fraction - before) * (1 - fraction) - (self._clock() - now)
-        return f", {clock_time(max(left, 0.0))} left"
+        return max((now - began) / (fraction - before) * (1 - fraction) - (self._clock() - now), 0.0)
 
 
 def clock_time(seconds: float) -> str:

@@ -7,17 +7,16 @@ names) and its outputs are unchanged. steps.json is rewritten after each step.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import pydantic
 
-from abrace_core.config_file import Checked
-from abrace_core.errors import AbraceError
-from abrace_core.files import write_text
+from abrace_core import AbraceError
+from abrace_core.files.checksum import checksum, file_checksum, files_of
+from abrace_core.files.config_file import Checked
+from abrace_core.files.writing import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -26,24 +25,6 @@ FILE = "steps.json"
 NOT_OF_A_STEP = (FILE, "timing.json", "origin.json")
 """Files that belong to the whole campaign, not to a step."""
 Checksums = dict[str, Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$")]]
-
-
-def file_checksum(path: Path) -> str:
-    """SHA-256 of a file, or of all files of a folder with their names."""
-    if path.is_dir():
-        return checksum({str(file.relative_to(path)): file_checksum(file) for file in files_of(path)})
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def checksum(content: object) -> str:
-    """SHA-256 of a `content`, written as JSON."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
-
-
-def files_of(folder: Path) -> list[Path]:
-    """All files below a folder, sorted."""
-    return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
 class DoneStep(Checked):
@@ -67,19 +48,9 @@ class _File(Checked):
 
 
 class DoneSteps:
-    """The steps that are done, with their results in a folder.
+    """The steps of a campaign, `names` in order, that are done, with their results in a folder.
 
-    Parameters
-    ----------
-    folder
-        The folder of the results.
-    names
-        Names of the campaign's steps, in order; steps.json may have others, which are ignored.
-
-    Attributes
-    ----------
-    steps
-        The steps that are done, by name.
+    Others in steps.json are ignored.
     """
 
     def __init__(self, folder: Path, names: Sequence[str]) -> None:

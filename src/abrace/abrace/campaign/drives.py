@@ -7,9 +7,10 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
-from abrace.campaign.names import Band, NonNegative, OfGroups, Positive, Real, Text, Whole, from_folder
-from abrace_core.config_file import Checked
+from abrace.campaign.names import Band, OfGroups, Positive, Text, Whole, from_folder
+from abrace_core.files.config_file import Checked
 from abrace_plant.records.files import KNOWN_RECORDS
+from abrace_plant.records.options import RecordOptions
 
 Lines = Literal["all", "odd", "even"]
 
@@ -38,7 +39,6 @@ class Multisine(BandedNoise):
 
     period: Positive = 32.768
     lines: Lines = "odd"
-    slope: Real = 0.0
 
     @pydantic.model_validator(mode="after")
     def _above_zero(self) -> Multisine:
@@ -89,22 +89,18 @@ def _known_or_file(record: str, info: pydantic.ValidationInfo) -> str:
     return record if record in KNOWN_RECORDS else from_folder(record, info)
 
 
-class Record(Drive):
-    """A table motion from a record: a known name or a file, how it is read, and how it is processed.
+class RecordMotion(RecordOptions):
+    """A table motion from a record: a known name or a file, how it is read, and how it is treated.
 
-    Every key is the parameter of the same name of the node `ground_motion`, with its default.
+    Every other key is the parameter of the same name of the node `ground_motion`, with its default.
     """
 
     record: Annotated[Text, pydantic.AfterValidator(_known_or_file)]
-    peak_acceleration: NonNegative = 0.0
-    unit: Literal["g", "m/s^2", "cm/s^2"] | None = None
-    record_sample_period: Positive | None = None
-    channel: Text | None = None
-    baseline: Literal["none", "constant", "linear", "quadratic"] | None = None
-    time_scale: Positive | None = None
-    taper: NonNegative | None = None
-    low_cut: NonNegative | None = None
-    band_limit: NonNegative | None = None
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Parameters of its node that the file gives, and its peak."""
+        return self.model_dump(include={*self.model_fields_set, "peak_acceleration"})
 
 
 def _motion_kind(content: object) -> object:
@@ -115,6 +111,6 @@ def _motion_kind(content: object) -> object:
 GroundMotion = Annotated[
     Annotated[WhiteNoise, pydantic.Tag(WHITE_NOISE)]
     | Annotated[MultisineMotion, pydantic.Tag(MULTISINE)]
-    | Annotated[Record, pydantic.Tag("record")],
+    | Annotated[RecordMotion, pydantic.Tag("record")],
     pydantic.Discriminator(_motion_kind),
 ]

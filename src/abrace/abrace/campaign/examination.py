@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from abrace_bags import read_topics
-from abrace_core.errors import AbraceError, RunFailed
-from abrace_core.sequence import missing_numbers
-from abrace_core.signals import channel_names
-from abrace_core.wire import LATE, RATE_LIMITED, SATURATED, STOP_PRESSED, TABLE_LIMITED
+from abrace_bags import Bag
+from abrace_bags.sequence import NumberRanges
+from abrace_core import AbraceError, RunFailed
+from abrace_core.model.run import clipped_counts
+from abrace_core.model.signals import channel_names
+from abrace_core.safety.wire import LATE, RATE_LIMITED, SATURATED, STOP_PRESSED, TABLE_LIMITED
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,23 +28,16 @@ FLAGS = {
 
 
 def examine(bag: Path, topic: str, samples: int | None) -> dict[str, Any]:
-    """Entries of a test for timing.json, from the responses in its bag; counts of zero are left out.
+    """Entries of a test for timing.json, from the responses on a `topic` of its `bag`; counts of zero are left out.
 
-    Parameters
-    ----------
-    bag
-        The test's bag.
-    topic
-        The topic of the responses.
-    samples
-        Number of samples that the rig published; None: not known, and the gaps within the bag are counted as lost.
+    `samples`: how many the rig published; None: not known, and the gaps within the bag are counted as lost.
 
     Raises
     ------
     RunFailed
         If the rig had a fault.
     """
-    response = read_topics(bag, [topic]).get(topic)
+    response = Bag(bag).arrays([topic]).get(topic)
     if response is None or not response.log_time.size:
         raise RunFailed(f"{bag}: has no sample of {topic}, expected those of a test")
     fields = response.fields
@@ -55,9 +49,10 @@ def examine(bag: Path, topic: str, samples: int | None) -> dict[str, Any]:
     braces = tuple(fields["braces"][0].tolist())
     if len(braces) != sizes[1]:
         raise AbraceError(f"{bag}: {len(braces)} numbers of braces, expected {sizes[1]}, one for each group")
-    names = channel_names(sizes[0], braces)[:64]
-    at_end = {name: int(np.sum(fields["clipped"] >> np.uint64(i) & np.uint64(1))) for i, name in enumerate(names)}
-    found["clipped"] = {name: count for name, count in at_end.items() if count}
-    missing = missing_numbers(fields["sequence"])[1]
+    counts = clipped_counts(fields["clipped"], channel_names(sizes[0], braces))
+    found["clipped"] = {name: count for name, count in counts.items() if count}
+    numbers = NumberRanges()
+    numbers.add(fields["sequence"])
+    missing = numbers.missing
     lost = missing if samples is None else max(samples - response.log_time.size, missing)
     return {"lost_samples": lost} | {name: value for name, value in found.items() if value}

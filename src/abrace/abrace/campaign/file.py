@@ -5,11 +5,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import pydantic
 
-from abrace.campaign.matrix import expanded
 from abrace.campaign.names import FOLDER, CampaignName, Flag, Name, NameOrFile, is_step_name
 from abrace.campaign.references import wrong_references
 from abrace.campaign.tasks import (
@@ -24,9 +23,9 @@ from abrace.campaign.tasks import (
     Task,
     Validate,
 )
-from abrace_core.config_file import Checked, read_mapping
-from abrace_core.config_mistakes import mistakes
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
+from abrace_core.files.config_file import Checked, read_mapping
+from abrace_core.files.config_mistakes import mistakes
 
 TAGGED = ("ground_motion", "excitation", "controller", "rig")
 """Keys to which pydantic appends the kind of their value, which is no key of the file."""
@@ -66,18 +65,9 @@ class Step:
 
 @dataclass(frozen=True)
 class RigSetup:
-    """The rig of a test and how it is reached.
+    """The rig of a test, its file or name, and how it is reached.
 
-    Parameters
-    ----------
-    file
-        A rig's name or file.
-    node
-        The user's node that serves as that rig; None: abrace's own.
-    device
-        Name or file of the device that connects the rig; None: no device.
-    emulator
-        Whether the emulator takes the place of that device.
+    By a node of the user's, by a device, or by a device's emulator.
     """
 
     file: str
@@ -95,20 +85,8 @@ class RigSetup:
 class Campaign:
     """A campaign.
 
-    Parameters
-    ----------
-    name
-        Name of the campaign and of the folder of its results.
-    setup
-        The rig of the tests that name no other.
-    lockstep
-        Whether tests run in lockstep rather than in real time, unless a test has its own value.
-    steps
-        The steps, in the order in which they run.
-    thread_priority
-        Real-time priority of the loops of nodes and emulator; 0: none.
-    path
-        The campaign file.
+    The rig of the tests that name no other, whether tests run in lockstep unless they say otherwise, and the steps in
+    their order.
     """
 
     name: str
@@ -145,31 +123,42 @@ def load_campaign(path: Path | str) -> Campaign:
     AbraceError
         With a line for each mistake: the file, the step, the key, the value and what was expected.
     """
+    campaign, found = read_campaign(path)
+    if campaign is None or found:
+        refuse(found)
+    return campaign
+
+
+def read_campaign(path: Path | str) -> tuple[Campaign | None, list[str]]:
+    """A campaign file as far as it can be read, and a line for each mistake; None: its first keys are wrong.
+
+    Raises
+    ------
+    AbraceError
+        If it is no YAML file.
+    """
     content = read_mapping(path, "campaign")
     context = {FOLDER: str(Path(path).parent)}
     found: list[str] = []
-    top = None
+    top, campaign = None, None
     try:
         top = _Campaign.model_validate(content, context=context)
     except pydantic.ValidationError as error:
         found += mistakes(error, _Campaign, TAGGED)
-    listed, wrong = expanded(content.get("steps"))
-    tasks = _read_steps(listed, context, wrong)
-    found += wrong
+    steps = content.get("steps")
+    tasks = _read_steps(steps if isinstance(steps, list) else [], context, found)
     if top is not None:
-        steps = tuple(Step(name, task) for name, task in tasks.items() if task is not None)
+        read = tuple(Step(name, task) for name, task in tasks.items() if task is not None)
         setup = _setup(top, RigSetup(""))
-        campaign = Campaign(top.name, setup, top.lockstep, steps, top.thread_priority, Path(path))
+        campaign = Campaign(top.name, setup, top.lockstep, read, top.thread_priority, Path(path))
         found += _wrong_setups(campaign)
-    if found:
-        refuse([f"campaign file {path}: {mistake}" for mistake in found])
-    return campaign
+    return campaign, [f"campaign file {path}: {mistake}" for mistake in found]
 
 
-def _read_steps(listed: list[tuple[int, Any]], context: dict[str, str], found: list[str]) -> dict[str, Task | None]:
+def _read_steps(listed: list[Any], context: dict[str, str], found: list[str]) -> dict[str, Task | None]:
     """The tasks by name, None for a step with a mistake; mistakes are added to `found`."""
     tasks: dict[str, Task | None] = {}
-    for number, content in listed:
+    for number, content in enumerate(listed, 1):
         name = content.get("name") if isinstance(content, dict) else None
         where = f"step {name if isinstance(name, str) and is_step_name(name) else number}"
         try:
@@ -191,7 +180,7 @@ def _read_steps(listed: list[tuple[int, Any]], context: dict[str, str], found: l
     return tasks
 
 
-def refuse(problems: list[str]) -> None:
+def refuse(problems: list[str]) -> NoReturn:
     """Refuse a campaign for all its `problems` at once.
 
     Raises

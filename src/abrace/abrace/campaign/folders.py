@@ -13,8 +13,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from abrace_core.errors import AbraceError
-from abrace_core.files import make_folder, move, write_text
+from abrace_core import AbraceError
+from abrace_core.files.writing import make_folder, move, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -100,8 +100,7 @@ class Folders:
 
     def settle_report(self) -> None:
         """Change the paths in the report to those after `swap_in`."""
-        for name in ("report.md", "report.html"):
-            self._settle(self.unfinished / name)
+        self._settle(self.unfinished / "report.html")
 
     def _settle(self, path: Path) -> None:
         text = path.read_text(encoding="utf-8")

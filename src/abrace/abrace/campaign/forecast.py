@@ -9,6 +9,7 @@ zero command.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import cycle, pairwise
 from typing import TYPE_CHECKING
 
@@ -16,29 +17,36 @@ import numpy as np
 
 from abrace.campaign.names import CONTROLLER_FILE, MODEL_FILE, is_path
 from abrace.campaign.tasks import Design, OwnController
-from abrace_core.controller_file import load_controller
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import load_model
-from abrace_core.node import find_file
-from abrace_core.simulation import simulate, simulate_closed_loop
+from abrace.report.result import worse_than_none
+from abrace_core import AbraceError
+from abrace_core.files.installed import find_file
+from abrace_core.model.controller_file import load_controller
+from abrace_core.model.linear_model import load_model
+from abrace_core.model.response import PeakRms
+from abrace_core.model.simulation import simulate, simulate_closed_loop
+from abrace_core.model.verdict import judged
+from abrace_core.safety.table_guard import TableGuard
 from abrace_lqg.design import design
-from abrace_lqg.of_model import excitation_of
 from abrace_lqg.proof.checks import prove, require
+from abrace_lqg.proof.limits import of_rig
 from abrace_lqg.scaling import scaled_weights
 from abrace_lqg.weights import load_weights
-from abrace_plant.records.table_motion import table_motion
-from abrace_plant.rig.detectors import detectors, sensor_noise
+from abrace_plant.records.table_motion import table_demands
+from abrace_plant.rig.detectors import detectors
+from abrace_plant.rig.interlocks import Interlocks
 from abrace_plant.rig.limits import group_limits, limit_table
+from abrace_plant.rig.sensors import Measurement, OverRange, parse_fault
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from abrace.campaign.check import CheckedCampaign
     from abrace.campaign.laboratory import Laboratory
     from abrace.campaign.tasks import RigTest
-    from abrace_core.linear_model import LinearModel
+    from abrace_core.model.linear_model import LinearModel
+    from abrace_core.safety.table_stop import Table
     from abrace_plant.rig.model import Interlock, Rig
 
     Law = tuple[LinearModel, NDArray[np.float64]]
@@ -50,20 +58,9 @@ COMMAND = "command"
 
 @dataclass(frozen=True)
 class Peak:
-    """The greatest value of one kind of quantity, and its limit.
+    """The greatest value of one kind of quantity, of the signal `name`, and its limit.
 
-    Parameters
-    ----------
-    name
-        The signal with this value: "x3", "of storey 1", "velocity".
-    value
-        The value [unit].
-    limit
-        Its limit [unit].
-    unit
-        Unit of both.
-    of
-        Origin of the limit: "sensor range", "interlock", "table", "force limit".
+    `of`: "sensor range", "interlock", "table" or "force limit".
     """
 
     name: str
@@ -80,25 +77,22 @@ class Peak:
 
 @dataclass(frozen=True)
 class Forecast:
-    """The predicted peaks of a test.
+    """The predicted peaks of a test by kind, those of UNITS and "command"; a note on what the prediction leaves out.
 
-    Parameters
-    ----------
-    peaks
-        Peaks by kind: those of UNITS, and "command".
-    note
-        What the prediction assumes or leaves out; empty: nothing.
+    `problems`: the interlock that stops the rig, a controller that makes the motion worse.
     """
 
     peaks: dict[str, Peak]
     note: str = ""
+    problems: tuple[str, ...] = ()
 
     def cares(self) -> Iterator[str]:
-        """The peaks beyond their limits."""
+        """The problems, and the peaks beyond their limits."""
+        yield from self.problems
         for kind, peak in self.peaks.items():
-            if kind == COMMAND and peak.share >= 1:
+            if kind == COMMAND and not peak.share < 1:
                 yield f"command {peak.name} reaches its limit of {peak.limit:.4g} N ({peak.of})"
-            elif peak.share > 1:
+            elif judged(peak.share, 1.0):
                 yield (
                     f"{kind} {peak.name} {peak.value:.3g} {peak.unit} as predicted, more than {peak.limit:.3g} "
                     f"{peak.unit} ({peak.of})"
@@ -120,7 +114,7 @@ class _Prepared:
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self.model = rig.discrete_model()
-        noise = detectors(rig).noise(sensor_noise(rig))
+        noise = detectors(rig).noise
         interlocks = limit_table(rig, noise)
         values = {kind: [interlocks[kind].value] for kind in UNITS if kind != "table"}
         values["force"] = group_limits(rig, interlocks["force"], noise.get("force", 0.0)).tolist()
@@ -132,13 +126,7 @@ class _Prepared:
 
 
 class Forecaster:
-    """Predicts the tests of a campaign.
-
-    Parameters
-    ----------
-    checked
-        The campaign.
-    """
+    """Predicts the tests of a campaign."""
 
     def __init__(self, checked: CheckedCampaign) -> None:
         self._checked = checked
@@ -186,10 +174,15 @@ class Forecaster:
             note = "with zero command: a node of your own is not simulated"
         elif test.controller is not None:
             law, note = self._law(test.controller, laboratory)
-        if law is None:
-            outputs = simulate(model, np.column_stack([ground, commands]))
-        else:
+        outputs, problems = simulate(model, np.column_stack([ground, commands])), []
+        commands = np.vstack([np.zeros((1, rig.groups)), commands[:-1]])  # in force until each sample
+        if law is not None:
+            without = _floors(outputs, rig)
             outputs, commands = simulate_closed_loop(model, law[0], ground, limits, law[1])
+            if worse := worse_than_none(without, _floors(outputs, rig)):
+                problems.append(f"{test.controller_name} makes the motion worse than no control, as predicted: {worse}")
+        if stop := _stop(rig, ground, outputs, commands, test.sensor_faults):
+            problems.insert(0, stop)
         found = _table_peak(ground, rig) if test.ground_motion is not None else {}
         found |= _response_peaks(dict(zip(model.outputs, outputs.T, strict=True)), rig.floors, prepared.limits)
         if np.any(commands):
@@ -197,7 +190,7 @@ class Forecaster:
             greatest = float(np.abs(commands[:, group]).max())
             name = model.inputs[1 + group]
             found[COMMAND] = Peak(name, greatest, float(limits[group]), "N", "force limit")
-        return Forecast(found, note)
+        return Forecast(found, note, tuple(problems))
 
     def _prepare(self, laboratory: Laboratory, disconnected: tuple[int, ...]) -> _Prepared:
         key = id(laboratory), disconnected
@@ -223,20 +216,56 @@ class Forecaster:
         known, law, refusal = is_path(task.model), None, ""
         file = task.model if task.model.endswith(MODEL_FILE) else f"{task.model}/reduced{MODEL_FILE}"
         try:
-            model, period = load_model(file) if known else rig.model, 1 / rig.sample_rate
+            model = load_model(file) if known else rig.model
+            options = of_rig(task, rig.sample_rate, rig.capacity).of_model(model)
             weights = load_weights(find_file(task.weights, "abrace_lqg", "config", ".yaml", "weights"))
-            weights = scaled_weights(model, weights, period, rig.capacity.tolist(), excitation_of(model))
-            designed = design(model, weights, period)
+            weights = scaled_weights(model, weights, options.sample_period, options.force_limit, options.excitation)
+            designed = design(model, weights, options.sample_period)
             law = designed.controller, designed.correction
-            require(prove(designed, {"the model": model}, limits=task.limits), task.accept)
+            require(prove(designed, {"the model": model}, options.excitation, options.limits), options.accept)
         except AbraceError as error:
             refusal = str(error)
         return _Designed(law, known, refusal)
 
 
+def _floors(outputs: NDArray[np.float64], rig: Rig) -> dict[str, PeakRms]:
+    """Peak and rms of each floor's displacement."""
+    floors = outputs[:, : rig.floors]
+    peaks, rms = np.abs(floors).max(axis=0).tolist(), np.sqrt((floors**2).mean(axis=0)).tolist()
+    return {f"x{i}": PeakRms(*both) for i, both in enumerate(zip(peaks, rms, strict=True), 1)}
+
+
+def _stop(
+    rig: Rig,
+    ground: NDArray[np.float64],
+    outputs: NDArray[np.float64],
+    commands: NDArray[np.float64],
+    faults: Sequence[str],
+) -> str:
+    """When the rig is stopped and by which interlock, its sensors and their `faults` included; empty: it is not."""
+    period, sensors, names = 1 / rig.sample_rate, rig.channel_sensors, rig.channel_names
+    measurement, over_range = Measurement(sensors, 1, period), OverRange(sensors)
+    measurement.faults = tuple(parse_fault(text, names, period) for text in faults)
+    readings = measurement.record(np.column_stack([outputs[:, rig.measured_outputs], ground]))
+    clipped = (readings > over_range.highest) | (readings < over_range.lowest)
+    places = _places(rig.table, period, ground.tobytes())
+    found = Interlocks(rig).first_trip(np.column_stack([readings, commands, places]), clipped)
+    return f"the rig stops after {found[0] * period:.2f} s, as predicted: {found[1]}" if found else ""
+
+
+@lru_cache(maxsize=16)
+def _places(table: Table, period: float, ground: bytes) -> NDArray[np.float64]:
+    """(samples, 2) where a table with this motion could stop at the earliest, and its velocity."""
+    guard, found = TableGuard(table, period), []
+    for acceleration in np.frombuffer(ground).tolist():
+        guard.follow([acceleration])
+        found.append((guard.turning_point, guard.state.velocity))
+    return np.array(found)
+
+
 def _table_peak(ground: NDArray[np.float64], rig: Rig) -> dict[str, Peak]:
     """The table's quantity that is nearest to its limit."""
-    demands = table_motion(ground, rig.sample_rate).demands(rig.table)[:-1]
+    demands = table_demands(ground, rig.sample_rate, rig.table)[:-1]
     worst = max(demands, key=lambda demand: demand.value / demand.limit)
     return {"table": Peak(worst.name, worst.value, worst.limit, worst.unit, "table")}
 

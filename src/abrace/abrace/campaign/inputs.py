@@ -8,9 +8,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from abrace.campaign.done import checksum, file_checksum
 from abrace.campaign.tasks import RigTest
 from abrace_bags.metadata import METADATA_FILE, installed_versions
+from abrace_core.files.checksum import checksum, file_checksum
 from abrace_plant.devices.file import calibration_of
 
 if TYPE_CHECKING:
@@ -21,15 +21,7 @@ if TYPE_CHECKING:
 
 
 class Inputs:
-    """The inputs of the steps of a campaign.
-
-    Parameters
-    ----------
-    campaign
-        The campaign.
-    laboratories
-        The laboratories of its tests.
-    """
+    """The inputs of the steps of a campaign."""
 
     def __init__(self, campaign: Campaign, laboratories: Laboratories) -> None:
         self._campaign, self._laboratories = campaign, laboratories
@@ -42,16 +34,12 @@ class Inputs:
         }
 
     def of(self, number: int, made: Mapping[str, str]) -> dict[str, str]:
-        """Checksums of the inputs of a step.
+        """Checksums of the inputs of a step by its `number`, 0 the first.
 
-        Each value in its text that names an earlier step, a file or a bag is an input.
+        `made`: checksums of all outputs of earlier steps, by name.
 
-        Parameters
-        ----------
-        number
-            Number of the step, 0 the first; the seed of a test's sensor noise depends on it.
-        made
-            Checksum of all outputs of a step, by its name.
+        Each value in its text that names an earlier step, a file or a bag is an input. The seed of a test's sensor
+        noise depends on the number.
         """
         task = self._campaign.steps[number].task
         text = task.model_dump(mode="json")
@@ -62,7 +50,7 @@ class Inputs:
         else:
             lab = self._laboratories.behind(task)[0]
         devices = (lab.device_file, calibration_of(lab.device_file)) if lab.device_file is not None else ()
-        found |= _files(str(path) for path in (lab.rig_file, lab.frame_file, *devices) if path is not None)
+        found |= _files(str(path) for path in (lab.rig_file, *devices) if path is not None)
         words = sorted(set(_words(text)))
         earlier = {step.name for step in self._campaign.steps[:number]}
         found |= {f"step {word}": made.get(word, "") for word in words if word in earlier}

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from abrace.campaign.tasks import Design, Identify, RigTest
 from abrace.processes.group import find_executable
-from abrace_core.errors import AbraceError
-from abrace_core.node import find_file
+from abrace_core import AbraceError
+from abrace_core.files.installed import find_file
 from abrace_plant.devices.file import load_device
-from abrace_plant.rig.file import frame_of, load_rig
+from abrace_plant.rig.file import load_rig
 
 if TYPE_CHECKING:
     from abrace.campaign.file import Campaign, RigSetup
@@ -23,33 +23,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Laboratory:
-    """The rig of a test with its files.
-
-    Parameters
-    ----------
-    setup
-        The keys of the campaign file.
-    rig
-        The rig from its file.
-    rig_file, frame_file, device_file
-        The files; frame_file is None unless the rig file names one, device_file is None without a device.
-    """
+    """The rig of a test with its files; `device_file` is None without a device."""
 
     setup: RigSetup
     rig: Rig
     rig_file: Path
-    frame_file: Path | None
     device_file: Path | None
 
 
 class Laboratories:
-    """The laboratories of a campaign, each read once.
-
-    Parameters
-    ----------
-    campaign
-        The campaign.
-    """
+    """The laboratories of a campaign, each read once."""
 
     def __init__(self, campaign: Campaign) -> None:
         self._campaign = campaign
@@ -68,11 +51,11 @@ class Laboratories:
             if known.setup == setup:
                 return known
         rig_file = find_file(setup.file, "abrace_plant", "config", ".yaml", "rig").resolve()
-        rig, frame_file, device_file = load_rig(rig_file), frame_of(rig_file), None
+        rig, device_file = load_rig(rig_file), None
         if setup.device is not None:
             device_file = find_file(setup.device, "abrace_plant", "config/devices", ".yaml", "device").resolve()
             load_device(device_file, rig)
-        self._known.append(Laboratory(setup, rig, rig_file, frame_file, device_file))
+        self._known.append(Laboratory(setup, rig, rig_file, device_file))
         return self._known[-1]
 
     def behind(self, task: Task) -> tuple[Laboratory, RigTest | None]:

@@ -83,5 +83,4 @@ NameOrFile = Annotated[Text, pydantic.AfterValidator(_name_or_file)]
 OfGroups = Annotated[tuple[Real, ...], pydantic.BeforeValidator(_for_all), pydantic.AfterValidator(_one_above_zero)]
 """One number for all brace groups, or one for each."""
 Band = Annotated[tuple[NonNegative, NonNegative], pydantic.AfterValidator(_rising)]
-PositiveBand = Annotated[tuple[Positive, Positive], pydantic.AfterValidator(_rising)]
 Tests = Annotated[tuple[NameOrFile, ...], pydantic.Field(min_length=1), pydantic.BeforeValidator(_listed)]

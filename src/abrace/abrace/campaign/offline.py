@@ -3,19 +3,24 @@
 
 from __future__ import annotations
 
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from abrace.campaign.demands import check_controller
 from abrace.campaign.drives import BandedNoise, ExcitationMultisine, Multisine, MultisineMotion
 from abrace.campaign.names import CONTROLLER_FILE, MODEL_FILE, is_path
 from abrace.campaign.tasks import Ambient, Compare, Design, Identify, RigTest, Validate
-from abrace_bags.bag import topic_names
-from abrace_core.controller_file import load_controller
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import load_model
-from abrace_core.node import find_file
+from abrace_bags import Bag
+from abrace_core import AbraceError
+from abrace_core.files.installed import find_file
+from abrace_core.files.options import NOT_GIVEN
+from abrace_core.model.controller_file import load_controller
+from abrace_core.model.linear_model import load_model
+from abrace_core.model.signals import GROUND, response_names
+from abrace_lqg.proof.limits import of_rig
 from abrace_lqg.weights import load_weights
-from abrace_sysid.recordings import LEAST_SECONDS
+from abrace_sysid.examination import LEAST_SECONDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -28,16 +33,9 @@ MODELS = ("model", "reduced", "superposed")
 
 
 def wrong_offline(task: Task, tests: Mapping[str, RigTest], rig: Rig) -> Iterator[str]:
-    """Mistakes because of which an identification, a design or a comparison cannot succeed.
+    """Mistakes because of which a `task`, an identification, a design or a comparison, cannot succeed.
 
-    Parameters
-    ----------
-    task
-        The task of a step.
-    tests
-        The campaign's tests.
-    rig
-        The rig of the tests that the task uses.
+    `tests`: the campaign's; `rig`: that of the tests that the task uses.
     """
     match task:
         case Identify():
@@ -47,6 +45,10 @@ def wrong_offline(task: Task, tests: Mapping[str, RigTest], rig: Rig) -> Iterato
         case Design():
             yield from _wrong_model("design.model", task.model, ("reduced",))
             try:
+                of_rig(task, rig.sample_rate, rig.capacity).of_model(rig.model)
+            except AbraceError as error:
+                yield f"design.{error}"
+            try:
                 weights = load_weights(find_file(task.weights, "abrace_lqg", "config", ".yaml", "weights"))
                 weights.of(rig.model.outputs, rig.model.inputs[1:])
             except AbraceError as error:
@@ -54,6 +56,10 @@ def wrong_offline(task: Task, tests: Mapping[str, RigTest], rig: Rig) -> Iterato
         case Ambient():
             yield from _wrong_bags("ambient.test", task.test)
             yield from _wrong_bags("ambient.before", task.before or ())
+            try:
+                task.require_possible((*response_names(rig.floors, rig.groups), GROUND), rig.sample_rate)
+            except AbraceError as error:
+                yield f"ambient: {error}"
         case Compare() | Validate():
             kind = type(task).__name__.lower()
             yield from _wrong_bags(f"{kind}.test", (task.test,))
@@ -62,19 +68,16 @@ def wrong_offline(task: Task, tests: Mapping[str, RigTest], rig: Rig) -> Iterato
                 yield from _wrong_model("validate.model", task.model, MODELS)
                 if task.controller and task.controller.endswith(CONTROLLER_FILE):
                     try:
-                        load_controller(task.controller)
+                        check_controller(load_controller(task.controller), rig, task.controller)
                     except AbraceError as error:
                         yield f"validate.controller: {error}"
 
 
 def _wrong_identify(task: Identify, tests: Mapping[str, RigTest], rig: Rig) -> Iterator[str]:
-    if not rig.groups:
-        yield f"identify: rig {rig.name} has no braces, expected one group at least"
-    if rig.groups > 1 and task.fit not in (None, "maximum_likelihood"):
-        yield f"identify.fit: {task.fit} of {rig.groups} brace groups, expected maximum_likelihood"
-    least = 2 * rig.floors
-    if task.command_order and (task.command_order < least or task.command_order % 2):
-        yield f"identify.command_order: {task.command_order}, expected 0, or an even number from {least} on"
+    try:
+        task.require_possible(rig.floors, rig.groups)
+    except AbraceError as error:
+        yield f"identify: {error}"
     for key, names, band in (
         ("table", task.table, task.table_band),
         ("command", task.command, task.command_band),
@@ -90,12 +93,22 @@ def _wrong_identify(task: Identify, tests: Mapping[str, RigTest], rig: Rig) -> I
             if test.duration < LEAST_SECONDS:
                 yield f"identify.{key}: {name} has {test.duration:g} s, expected {LEAST_SECONDS:g} s at least"
             drive = test.ground_motion if key == "table" else test.excitation
-            if isinstance(drive, BandedNoise) and band and not drive.band[0] <= band[0] < band[1] <= drive.band[1]:
+            if not isinstance(drive, BandedNoise):
+                continue
+            low, high = drive.band if band == NOT_GIVEN else band
+            if not drive.band[0] <= low < high <= drive.band[1]:
                 yield (
-                    f"identify.{key}_band: {band[0]:g} to {band[1]:g} Hz, expected within the {drive.band[0]:g} to "
+                    f"identify.{key}_band: {low:g} to {high:g} Hz, expected within the {drive.band[0]:g} to "
                     f"{drive.band[1]:g} Hz of {name}"
                 )
-
+        if len(own) == len(names) and not any(isinstance(drive, Multisine) for drive in drives):
+            seconds = {name: test.duration for name, test in own.items()}
+            lows, highs = zip((0.0, inf), *(bands if band == NOT_GIVEN else [band]), strict=True)
+            lines = (min(highs) - max(lows)) * min(seconds.values()) + 1
+            try:
+                task.require_samples({name: round(one * rig.sample_rate) for name, one in seconds.items()}, lines)
+            except AbraceError as error:
+                yield f"identify.{key}: {error}"
     yield from _wrong_groups(task.command, tests, rig.groups)
     for name in task.table:
         if name in tests:
@@ -146,7 +159,7 @@ def _wrong_bags(key: str, names: tuple[str, ...]) -> Iterator[str]:
     """Mistakes of the paths of bags among `names`: bags that cannot be read, or are not of a test."""
     for name in filter(is_path, names):
         try:
-            if not any(topic.endswith("/response") for topic in topic_names(name)):
+            if not any(topic.endswith("/response") for topic in Bag(name).topics):
                 yield f"{key}: bag {name} has no topic response, expected the bag of a test"
         except AbraceError as error:
             yield f"{key}: {error}"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from abrace.campaign.check import CheckedCampaign
-from abrace.campaign.file import load_campaign, refuse
+from abrace.campaign.file import read_campaign, refuse
 from abrace.campaign.folders import unwritable
 from abrace.campaign.forecast import COMMAND, UNITS, Forecaster
 from abrace.campaign.tasks import Ambient, Compare, Design, Identify, RigTest, Validate
@@ -45,7 +45,10 @@ def check_campaign(path: Path | str) -> Plan:
     AbraceError
         With a line for each mistake.
     """
-    plan = Plan(CheckedCampaign(load_campaign(path)))
+    campaign, mistakes = read_campaign(path)
+    if campaign is None:
+        refuse(mistakes)
+    plan = Plan(CheckedCampaign(campaign, mistakes))
     problems = plan.forecaster.refusals()
     free, bags, results = shutil.disk_usage(".").free, plan.bytes_of_bags(), plan.bytes_of_results()
     if bags + results > free:
@@ -58,18 +61,7 @@ def check_campaign(path: Path | str) -> Plan:
 
 
 class Plan:
-    """The plan of a campaign.
-
-    Parameters
-    ----------
-    checked
-        The campaign.
-
-    Attributes
-    ----------
-    cares
-        Predicted problems that are no reason to refuse the campaign: a line each.
-    """
+    """The plan of a campaign; `cares`: predicted problems that are no reason to refuse it, a line each."""
 
     def __init__(self, checked: CheckedCampaign) -> None:
         self.checked = checked
@@ -78,14 +70,9 @@ class Plan:
         self._before = _seconds_before(Path("results") / checked.campaign.name / "timing.json")
 
     def seconds(self, name: str, task: Task) -> float:
-        """Estimated duration of a step [s]; of an offline step, the duration of its last run if there was one.
+        """Estimated duration of the step `name` with this `task` [s].
 
-        Parameters
-        ----------
-        name
-            Name of the step.
-        task
-            Its task.
+        Of an offline step that of its last run, if there was one.
         """
         if not isinstance(task, RigTest):
             return self._before.get(name, OFFLINE[type(task)])
@@ -117,7 +104,6 @@ class Plan:
                 (one.name, self._what(one.task), f"{self.seconds(one.name, one.task):.0f}") for one in campaign.steps
             ),
         )
-        self.forecaster.cares()
         total = sum(self.seconds(name, task) for name, task in campaign.tasks.items())
         folder = Path("results") / campaign.name
         bags = f"bags/{campaign.name}/TIME/ with {_count(tests, 'bag')}, about {_size(self.bytes_of_bags())}"

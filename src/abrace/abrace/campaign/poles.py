@@ -7,12 +7,12 @@ import json
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import optimize
 
-from abrace_core.drawing import save_figure
-from abrace_core.files import write_text
-from abrace_core.linear_model import pole_table
-from abrace_core.response import PAPER_RIG
+from abrace_core.figures.saving import save_figure
+from abrace_core.files.writing import write_json
+from abrace_core.model.linear_model import pole_table
+from abrace_core.model.modes import match_modes
+from abrace_core.model.response import PAPER_RIG
 from abrace_plant.rig.published import PAPER_POLES
 from abrace_sysid.figures.poles import pole_chart
 
@@ -30,32 +30,26 @@ def compare_poles(results: Path, step: str, rig: Rig, simulated: bool) -> None:
     Writes poles.json and a chart into the folder of `results`.
     """
     found = json.loads((results / step / "poles.json").read_text(encoding="utf-8"))
-    identified = {
-        test: [{key: pair[key] for key in ("frequency", "damping_ratio")} for pair in found[test]]
-        for test in ("table", "command")
-    }
-    own = rig.model.poles() if simulated else np.array([])
+    identified = {test: found[test] for test in ("table", "command")}
+    own = rig.model.poles if simulated else np.array([])
     pairs = [{"frequency": w, "damping_ratio": damping} for w, damping in pole_table(own)]
     # the table test excites the building's modes, not the local ones: the rig's poles nearest to those found
     true = {"table": _nearest(identified["table"], pairs), "command": pairs[: len(identified["command"])]}
     poles = {test: {"identified": found, "true": true[test]} for test, found in identified.items()}
     content = {"rig": rig.name, **poles}
-    write_text(results / "poles.json", json.dumps(content, indent=1))
+    write_json(results / "poles.json", content)
     highest = 1.2 * max(pair["frequency"] for pair in identified["command"])
     reference = {"rig": own[np.abs(own) < highest]} if own.size else {}
     if rig.name == PAPER_RIG:
         reference["paper, A1 and A2"] = np.concatenate([PAPER_POLES["table"], PAPER_POLES["command"]])
     chart = pole_chart({f"{test} test": _complex(found) for test, found in identified.items()}, reference)
-    save_figure(chart, results / step / "poles.png")
+    save_figure(chart, results / step / "poles.svg")
 
 
 def _nearest(found: list[dict[str, float]], own: list[dict[str, float]]) -> list[dict[str, float]]:
     """For each identified pole pair the rig's own that is nearest in frequency, each used once."""
-    if not own:
-        return []
-    ours, theirs = (np.log([pair["frequency"] for pair in pairs]) for pairs in (found, own))
-    _, chosen = optimize.linear_sum_assignment(np.abs(ours[:, None] - theirs))
-    return [own[i] for i in sorted(chosen)]
+    ours, theirs = ([pair["frequency"] for pair in pairs] for pairs in (found, own))
+    return [own[i] for i in sorted(j for _, j in match_modes(ours, theirs, tolerance=10.0))]
 
 
 def _complex(pairs: list[dict[str, float]]) -> NDArray[np.complex128]:

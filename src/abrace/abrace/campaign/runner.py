@@ -9,27 +9,39 @@ import os
 import re
 import time
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from abrace.campaign.drivers import NodeStart, abrace_node, drivers, rig_node
-from abrace.campaign.drives import Record
+from abrace.campaign.drivers import SIGNALS, START, NodeStart, abrace_node, drivers, rig_node, seconds_of_run
+from abrace.campaign.drives import RecordMotion
 from abrace.campaign.examination import examine
 from abrace.campaign.names import CONTROLLER_FILE, MODEL_FILE, is_path
 from abrace.campaign.poles import compare_poles
-from abrace.campaign.tasks import Ambient, Compare, Design, Identify, OwnController, OwnNode, RigTest, Validate
-from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
-from abrace.processes.group import NodeDied, ProcessGroup, find_executable
+from abrace.campaign.tasks import (
+    Ambient,
+    Compare,
+    Design,
+    Identify,
+    OwnController,
+    OwnNode,
+    RigTest,
+    Validate,
+    given_options,
+)
+from abrace.nodes.graph_monitor import GraphMonitor, expected_matches, repeat_as_stop_button
+from abrace.processes.group import NodeDied, NodeProcess, ProcessGroup, find_executable
 from abrace.processes.parameter_file import parameter_file
 from abrace.report.node_table import count_of
-from abrace_core.controller_file import load_controller
-from abrace_core.errors import RunFailed
-from abrace_core.linear_model import save_model
-from abrace_core.node import DIAGNOSTICS
-from abrace_core.node.transport import lockstep_environment
+from abrace_core import RunFailed, __version__
+from abrace_core.model.controller_file import load_controller
+from abrace_core.model.linear_model import save_model
+from abrace_lqg.proof.limits import DesignOptions
+from abrace_node.node import DIAGNOSTICS
+from abrace_node.transport import lockstep_environment
 from abrace_plant.devices.file import calibration_of
 from abrace_plant.records.files import record_file, record_name
+from abrace_sysid.ambient.modes import AmbientOptions
+from abrace_sysid.fitting.options import IdentificationOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -39,7 +51,7 @@ if TYPE_CHECKING:
     from abrace.campaign.file import Campaign
     from abrace.campaign.laboratory import Laboratories, Laboratory
     from abrace.campaign.tasks import Task
-    from abrace_core.progress import Step as ShownStep
+    from abrace_core.files.progress import Step as ShownStep
     from abrace_plant.rig.model import Rig
 
 PATIENCE = 30.0
@@ -66,9 +78,21 @@ def unless_over(node: str) -> Iterator[None]:
             raise
 
 
+@contextlib.contextmanager
+def explained_by(node: NodeProcess) -> Iterator[None]:
+    """Add the last line of a `node` to the error of a request that it refuses or does not answer."""
+    try:
+        yield
+    except NodeDied:
+        raise
+    except RunFailed as error:
+        said = "".join(node.last_lines(1)) or "nothing"
+        raise RunFailed(f"{error}; the last line of {node.log_file}: {said}") from error
+
+
 @dataclass
 class Runner:
-    """Runs the steps of a campaign; `lock`: an open file that the guard process inherits."""
+    """Runs the steps of a campaign; `lock`: an open file that every node inherits."""
 
     campaign: Campaign
     laboratories: Laboratories
@@ -88,14 +112,17 @@ class Runner:
             own |= lockstep_environment()
         return {**own, **single}
 
-    def start(self, group: ProcessGroup, step: str, node: NodeStart, lockstep: bool = False) -> None:
-        """Start a `node` of a `step` in a `group`; `lockstep`: whether the test runs in lockstep."""
+    def start(
+        self, group: ProcessGroup, step: str, node: NodeStart, lockstep: bool = False, offline: bool = False
+    ) -> NodeProcess:
+        """Start a `node` of a `step` in a `group`; whether the test runs in `lockstep`, or the node is `offline`."""
         folder = self.results / "nodes"
         command: list[str | Path] = [*node.program, "--ros-args"]
         for file in (*node.files, parameter_file(folder / f"{step}_{node.name}.yaml", node.parameters)):
             command += ["--params-file", file]
         command += ["-r", f"__ns:=/{self.campaign.name}", "-r", f"__node:={node.name}"]
-        group.start(node.name, command, folder / f"{step}_{node.name}.log", self.environment(lockstep))
+        log = folder / f"{step}_{node.name}.log"
+        return group.start(node.name, command, log, self.environment(lockstep), offline)
 
     def start_emulator(self, group: ProcessGroup, step: str, lab: Laboratory, seed: int) -> None:
         """Start the emulator of a `lab` with a `seed`, and wait until it samples; `group` and `step` as in `start`."""
@@ -132,22 +159,34 @@ class Runner:
         }
         loops = [rig_node(test, lab, seed, list(inputs) if lockstep else []), *inputs.values()]
         nodes = {topic: one.name for topic, one in inputs.items()}
-        samples = round(test.duration * lab.rig.sample_rate)
-        with ProcessGroup(held=[self.lock]) as group, GraphMonitor(f"/{self.campaign.name}", ("plant",)) as monitor:
+        signals = [one.name for one in inputs.values() if one.name in SIGNALS]
+        samples = round(seconds_of_run(test, lockstep) * lab.rig.sample_rate)
+        monitoring = GraphMonitor(f"/{self.campaign.name}", ("plant",), signals)
+        with ProcessGroup(held=[self.lock]) as group, monitoring as monitor:
             self.start(group, name, abrace_node("abrace_bags", "logger", logger), lockstep)
             if lab.setup.emulator:
+                repeat_as_stop_button(monitor)
                 self.start_emulator(group, name, lab, seed)
-            for place, one in enumerate(loops):
-                given = one.parameters | self.loop_parameters(place, lockstep)
-                self.start(group, name, replace(one, parameters=given), lockstep)
-            monitor.configure("plant", CONFIGURE_PATIENCE, group.raise_if_died)
+            rig, *_ = [
+                self.start(
+                    group,
+                    name,
+                    replace(one, parameters=one.parameters | self.loop_parameters(place, lockstep)),
+                    lockstep,
+                )
+                for place, one in enumerate(loops)
+            ]
+            with explained_by(rig):
+                monitor.change_state("plant", "configure", CONFIGURE_PATIENCE, group.raise_if_died)
             expected = expected_matches(nodes)
             for own in ["plant"] * (lab.setup.node is not None) + ["controller"] * isinstance(test.controller, OwnNode):
                 if not monitor.tells_partners(own, SILENCE, group.raise_if_died):
                     del expected[own]
             monitor.wait_until_matched(expected, PATIENCE, group.raise_if_died)
             with unless_over("plant"):
-                monitor.activate("plant", PATIENCE, group.raise_if_died)
+                with explained_by(rig):
+                    monitor.change_state("plant", "activate", PATIENCE, group.raise_if_died)
+                monitor.play(PATIENCE if lockstep else START, group.raise_if_died)
             run_seconds, done = self.watch(group, monitor, samples, lab, shown)
             group.stop_together([*nodes.values(), "plant"])
             group.stop_all()
@@ -207,7 +246,7 @@ class Runner:
             sequence = recorded - 1 if own_rig else -1 if sampled is None else sampled
             if own_rig and recorded >= samples:
                 with unless_over("plant"):
-                    monitor.deactivate("plant", PATIENCE, group.raise_if_died)
+                    monitor.change_state("plant", "deactivate", PATIENCE, group.raise_if_died)
                 shown.update(1.0, f"{samples / rate / (now - begin):.1f} x real time")
                 return now - begin, ""
             if sequence > last_sequence:
@@ -228,20 +267,15 @@ class Runner:
     def run_offline(self, name: str, package: str, executable: str, parameters: dict[str, Any]) -> None:
         """Run an offline node of the step `name` until it ends; as in `abrace_node`."""
         with ProcessGroup(held=[self.lock]) as group:
-            self.start(group, name, abrace_node(package, executable, parameters))
+            self.start(group, name, abrace_node(package, executable, parameters), offline=True)
             while group.poll() is None:
                 time.sleep(0.05)
             group.raise_if_died(may_finish=[executable])
 
     def run_step(self, number: int, name: str, task: object, shown: ShownStep | DisplayedStep) -> dict[str, Any]:
-        """Run one step; returns further entries for its timing.
+        """Run the step `name`, of this `number`, 0 the first, and `task`; `shown`: the display of its progress.
 
-        Parameters
-        ----------
-        number, name, task
-            The step's number, 0 the first, its name and its task.
-        shown
-            The display of its progress.
+        Returns further entries for its timing.
         """
         output = self.results / name
         match task:
@@ -256,7 +290,7 @@ class Runner:
                         "table": self.bags_of(table),
                         "command": self.bags_of(command),
                         "output": str(output),
-                        **task.options,
+                        **given_options(task, IdentificationOptions),
                     },
                 )
                 compare_poles(self.results, name, *self.rig_behind(task))
@@ -268,18 +302,18 @@ class Runner:
                     "weights": weights,
                     "sample_period": 1 / rig.sample_rate,
                     "force_limit": rig.capacity.tolist(),
-                    **task.refusal,
+                    **given_options(task, DesignOptions),
                     "output": str(self.controller_file(name)),
                 }
                 if check_models := [*checks, *known]:
                     parameters["check_models"] = check_models
                 self.run_offline(name, "abrace_lqg", "design", parameters)
             case Compare(test=test, uncontrolled=without):
-                bags = {"bag": self.bag_of(test), "uncontrolled": self.bag_of(without)}
+                bags = {"test": self.bag_of(test), "uncontrolled": self.bag_of(without)}
                 self.run_offline(name, "abrace_sysid", "validate", {**bags, "output": str(output)})
             case Validate(test=test, uncontrolled=uncontrolled, model=model):
                 first, *others = self.models(model, "model", "superposed", "reduced")
-                parameters = {"bag": self.bag_of(test), "model": first, "output": str(output)}
+                parameters = {"test": self.bag_of(test), "model": first, "output": str(output)}
                 if others:
                     parameters["other_models"] = others
                 if uncontrolled is not None:
@@ -287,10 +321,8 @@ class Runner:
                 if controller := self.loop_of(task):
                     parameters["controller"] = str(self.controller_file(controller))
                 self.run_offline(name, "abrace_sysid", "validate", parameters)
-            case Ambient(test=quiet, before=before, band=band):
-                given: dict[str, Any] = {"bag": self.bags_of(quiet)}
-                if band is not None:
-                    given["band"] = list(band)
+            case Ambient(test=quiet, before=before):
+                given = {"test": self.bags_of(quiet), **given_options(task, AmbientOptions)}
                 if before is not None:
                     given["before"] = self.bags_of(before)
                 self.run_offline(name, "abrace_sysid", "ambient", {**given, "output": str(output)})
@@ -339,7 +371,7 @@ class Runner:
         facts = {
             "campaign": self.campaign.name,
             "step": name,
-            "abrace": version("abrace"),
+            "abrace": __version__,
             "rig": lab.rig.name,
             "rig_file": lab.rig_file.read_text(encoding="utf-8"),
             "sample_period": repr(1 / lab.rig.sample_rate),
@@ -347,8 +379,6 @@ class Runner:
             "lockstep": str(self.campaign.in_lockstep(test)).lower(),
             "controller": test.controller_name,
         }
-        if lab.frame_file is not None:
-            facts["frame_file"] = lab.frame_file.read_text(encoding="utf-8")
         if lab.setup.simulated:
             facts["sensor_seed"] = str(seed)
         for key in ("disconnected_braces", "sensor_faults", "force_limit"):
@@ -368,13 +398,13 @@ class Runner:
                 facts[key] = json.dumps(drive.parameters)
         if test.ground_motion is not None:
             facts["record"] = record_name(test.ground_motion.record)
-        if isinstance(test.ground_motion, Record):
+        if isinstance(test.ground_motion, RecordMotion):
             facts["peak_acceleration"] = repr(test.ground_motion.peak_acceleration)
         return facts
 
     def attachments(self, test: RigTest, lab: Laboratory) -> list[Path]:
-        """The files of a `test` in a `lab` that its bag contains: rig, frame, device, controller, its model, record."""
-        paths = [lab.rig_file, *([lab.frame_file] if lab.frame_file is not None else [])]
+        """The files of a `test` in a `lab` that its bag contains: rig, device, controller, its model, record."""
+        paths = [lab.rig_file]
         if lab.device_file is not None:
             paths += [path for path in (lab.device_file, calibration_of(lab.device_file)) if path is not None]
         if isinstance(test.controller, str):
@@ -384,7 +414,7 @@ class Runner:
                     paths.append(Path(self.models(step.task.model, "reduced")[0]))
         elif test.controller is not None and len(test.controller.run) == 1:
             paths.append(Path(test.controller.run[0]))
-        if isinstance(test.ground_motion, Record):
+        if isinstance(test.ground_motion, RecordMotion):
             record = record_file(test.ground_motion.record)
             paths += [record] if record.is_file() else []
         return paths

@@ -4,30 +4,31 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import pydantic
 
 from abrace.campaign.drives import Excitation, GroundMotion
 from abrace.campaign.names import (
     LAW_FILE,
-    Band,
     Flag,
     Name,
     NameOrFile,
-    NonNegative,
     Positive,
-    PositiveBand,
     Tests,
     Text,
     Whole,
     from_folder,
 )
 from abrace.processes.parameter_file import written
-from abrace_core.config_file import Checked
-from abrace_core.errors import AbraceError
-from abrace_lqg.proof.files import DRAWS
-from abrace_lqg.proof.limits import Limits, Objection
+from abrace_core import AbraceError
+from abrace_core.files.config_file import Checked
+from abrace_lqg.proof.limits import DesignOptions
+from abrace_sysid.ambient.modes import AmbientOptions
+from abrace_sysid.fitting.options import IdentificationOptions
+
+if TYPE_CHECKING:
+    from abrace_core.files.options import Options
 
 
 def _program(run: object, info: pydantic.ValidationInfo) -> object:
@@ -119,7 +120,7 @@ class RigTest(Checked):
         return Path(self.controller).stem if self.controller else ""
 
 
-class Identify(Checked):
+class Identify(IdentificationOptions):
     """A model from the bags of tests with table motion alone and with commands alone, one or several of each.
 
     The same tests may be given for both if table and braces were excited at once. All other keys are parameters of the
@@ -128,60 +129,33 @@ class Identify(Checked):
 
     table: Tests
     command: Tests
-    table_band: Band | None = None
-    command_band: Band | None = None
-    fit: Literal["maximum_likelihood", "vector_fitting", "sk", "paper"] | None = None
-    command_order: Whole | None = None
-    reduced_order: Whole | None = None
-    servo_lag: NonNegative | None = None
-    method: Literal["local_rational", "local_polynomial", "welch"] | None = None
-    segment: Whole | None = None
-    window: Text | None = None
-    overlap: Annotated[float, pydantic.Field(ge=0, le=0.99, strict=True)] | None = None
-    estimator: Literal["H1", "H2", "Hv"] | None = None
-    order: Whole | None = None
-    half_width: Whole | None = None
-    stabilization: Flag | None = None
-    mat: Flag | None = None
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """The given parameters of the node `identify`, without its tests."""
-        given = self.model_dump(exclude_none=True, exclude={"table", "command"})
-        return {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
 
 
-class Design(Checked):
+class Design(DesignOptions):
     """A controller from a model, with weights given by name or file.
 
-    model: an earlier identify step, the folder of one, or a model file; limits: stability margins and other limits of
-    the design, with defaults; accept: objections that do not prevent the design; draws and draw_seed: number and seed
-    of models drawn from the uncertainty of the identified one, with which the design also has to meet the limits.
+    model: an earlier identify step, the folder of one, or a model file. All other keys are parameters of the node
+    `design`; sample period and force limits are the rig's where they are not given.
     """
 
     model: NameOrFile
     weights: NameOrFile
-    limits: Limits = Limits()
-    accept: tuple[Objection, ...] = ()
-    draws: Whole = DRAWS
-    draw_seed: Whole = 0
-
-    @property
-    def refusal(self) -> dict[str, object]:
-        """Parameters of the node `design`: limits, models drawn, and the objections that are accepted, if any."""
-        drawn = {"draws": self.draws, "draw_seed": self.draw_seed}
-        return self.limits.model_dump() | drawn | ({"accept": list(self.accept)} if self.accept else {})
 
 
-class Ambient(Checked):
+class Ambient(AmbientOptions):
     """Modes from tests without commands, and whether the building has changed since the tests `before`.
 
-    band: [Hz]; without it as the tests show it.
+    All other keys are parameters of the node `ambient`.
     """
 
     test: Tests
     before: Tests | None = None
-    band: PositiveBand | None = None
+
+
+def given_options(task: Options, options: type[Options]) -> dict[str, Any]:
+    """The options that stand in the file for a `task`: parameters of its node."""
+    given = task.model_dump(include=task.model_fields_set & set(options.model_fields))
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in given.items()}
 
 
 class Compare(Checked):

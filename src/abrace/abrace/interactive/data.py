@@ -4,56 +4,80 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from abrace.interactive.given import band_of, runs_of, several, warn
+from abrace.interactive.given import several, takes, warn
 from abrace.interactive.identification import pole_intervals
-from abrace_core.errors import AbraceError
-from abrace_core.one_thread import one_thread
-from abrace_sysid import data_identification
-from abrace_sysid.ambient.recorded import ambient_test
+from abrace_core import AbraceError
+from abrace_core.figures.chart import Chart
+from abrace_core.model.one_thread import one_thread
+from abrace_core.model.tabular import Tabular
+from abrace_sysid.ambient.change import compared_tests
+from abrace_sysid.ambient.modes import AmbientOptions, ambient_test
 from abrace_sysid.data_identification import DataOptions
 from abrace_sysid.figures.ambient import ambient_stabilization
-from abrace_sysid.figures.data import figures_of_data
-from abrace_sysid.measured_data import MeasuredData, read_data
+from abrace_sysid.figures.identification import figures_of_data
+from abrace_sysid.results import write_data_results, write_validity
+from abrace_sysid.validity.judgement import identify_and_judge
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     import pandas
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
 
-    from abrace.interactive.given import AnyRun
-    from abrace_core.linear_model import LinearModel
+    from abrace_core.model.linear_model import LinearModel
+    from abrace_sysid.ambient.change import BuildingChange
     from abrace_sysid.ambient.modes import AmbientTest
     from abrace_sysid.data_identification import DataIdentification
-    from abrace_sysid.measured_data import DataHold
+    from abrace_sysid.fitting.output_delays import Delay
+    from abrace_sysid.recorded.test import AnyTest, Test
+    from abrace_sysid.validity.finding import Validity
+    from abrace_sysid.validity.judgement import Judgement
+
+    AnyData: TypeAlias = Test | Mapping[str, ArrayLike] | pandas.DataFrame | Path | str
 
 
 @dataclass(frozen=True)
-class IdentifiedData:
+class IdentifiedData(Tabular):
     """The model of a structure from measured data.
 
     Parameters
     ----------
     found
         The whole identification.
+    held_out
+        The records that were not used, moved in time; may be none.
+    judged
+        What was found of data and model.
     """
 
     found: DataIdentification
+    held_out: tuple[Test, ...]
+    judged: Judgement
 
     def __repr__(self) -> str:
         low, high = self.found.band
-        return f"<Identified: {len(self.found.pairs)} modes, {low:.3g} to {high:.3g} Hz, from {self.found.data.source}>"
+        return f"<Identified: {len(self.found.pairs)} modes, {low:.3g} to {high:.3g} Hz, from {self.found.source}>"
 
     @property
     def model(self) -> LinearModel:
         """The continuous model."""
         return self.found.model
+
+    @property
+    def validity(self) -> Validity:
+        """All findings; `print(validity.text())` shows them as text."""
+        return self.judged.validity
+
+    @property
+    def delays(self) -> Mapping[str, Delay]:
+        """By output [s], against the inputs, with standard deviation; those that are certain."""
+        return self.found.delays
 
     def to_pandas(self) -> pandas.DataFrame:
         """The modes, slowest first, with 95 % confidence intervals."""
@@ -65,7 +89,7 @@ class IdentifiedData:
         Parameters
         ----------
         what
-            `transfer_functions_NAME` of an input, "residuals" or "confidence"; None: the first input's.
+            `transfer_functions_NAME` of an input, or "confidence"; None: the first input's.
 
         Raises
         ------
@@ -76,63 +100,65 @@ class IdentifiedData:
         chosen = what or next(iter(drawn))
         if chosen not in drawn:
             raise AbraceError(f"figure {chosen!r} of an identification: expected one of {', '.join(drawn)}")
-        return drawn[chosen]
+        figure = drawn[chosen]
+        return figure.figure() if isinstance(figure, Chart) else figure
+
+    def save(self, folder: Path | str) -> Path:
+        """Write model, poles, prediction and validity into a `folder`, as the node `identify_data`; returns it."""
+        write_data_results(self.found, self.held_out, Path(folder))
+        write_validity(self.judged, Path(folder))
+        return Path(folder)
 
 
+@takes(DataOptions)
 @one_thread()
 def identify_data(
-    data: MeasuredData | Mapping[str, ArrayLike] | pandas.DataFrame | Path | str,
-    inputs: Sequence[str] = (),
+    data: AnyData | Sequence[AnyData],
+    inputs: str | Sequence[str],
     outputs: Sequence[str] = (),
     *,
-    sample_rate: float = 0.0,
-    time: str = "",
-    units: Mapping[str, str] | None = None,
-    hold: DataHold = "band",
-    band: tuple[float, float] | None = None,
+    validation: AnyData | Sequence[AnyData] = (),
+    **options: Any,
 ) -> IdentifiedData:
     """Identify any structure from measured inputs and outputs.
 
     Parameters
     ----------
     data
-        A file (.mat, .npz, .npy, .csv), a DataFrame or arrays by name.
+        A file (MATLAB, NumPy, text), a DataFrame, arrays by name, or an `abrace.Test`; or several records.
     inputs, outputs
         Names of columns; no outputs: all others.
-    sample_rate
-        [Hz]; 0: from the column `time`.
-    time
-        Name of a column of times [s].
-    units
-        By column, for figures.
-    hold
-        "band": inputs and outputs sampled alike, below half the sample rate; "zero": inputs held between samples.
-    band
-        [Hz] that is used; None: from 10 / duration to half the sample rate.
+    validation
+        Other records of the structure, that are only predicted.
+    **options
+        As `DataOptions` has them.
 
     Raises
     ------
     AbraceError
         If the data cannot be used, with all columns that are missing.
     """
-    columns = several(inputs), several(outputs)
-    given = data if isinstance(data, MeasuredData) else read_data(data, *columns, sample_rate, time, units, hold)
-    found = data_identification.identify_data(given, DataOptions(band=None if band is None else band_of(band)))
+    checked = DataOptions.of({"inputs": inputs, "outputs": outputs, **options})
+    others = () if isinstance(validation, (list, tuple)) and not validation else checked.read(validation)
+    found, held_out, judged = identify_and_judge(checked.read(data), checked, validation=others)
     warn(found.warnings)
-    return IdentifiedData(found)
+    return IdentifiedData(found, held_out, judged)
 
 
 @dataclass(frozen=True)
-class IdentifiedModes:
+class IdentifiedModes(Tabular):
     """The modes of a building from an ambient test.
 
     Parameters
     ----------
     found
         Modes with shapes, and what the stabilisation diagram shows.
+    change
+        What has changed since the tests `before`; None: there were none.
     """
 
     found: AmbientTest
+    change: BuildingChange | None = None
 
     def __repr__(self) -> str:
         hertz = ", ".join(f"{mode.frequency / (2 * np.pi):.3f}" for mode in self.found.modes)
@@ -147,32 +173,37 @@ class IdentifiedModes:
         return ambient_stabilization(self.found)
 
 
+@takes(AmbientOptions)
 @one_thread()
 def identify_ambient(
-    tests: AnyRun | Sequence[AnyRun],
+    test: AnyTest | Sequence[AnyTest],
     channels: Sequence[str] = (),
     *,
-    band: tuple[float, float] | None = None,
-    highest_order: int = 40,
+    before: AnyTest | Sequence[AnyTest] = (),
+    **options: Any,
 ) -> IdentifiedModes:
     """Find a building's modes from tests without commands, whatever moves the table.
 
     Parameters
     ----------
-    tests
-        Runs or bags, one or several of one state of the building.
+    test
+        Tests (`abrace.Test`, Runs, bags, tables), one or several of one state of the building.
     channels
         Outputs to use; none: all accelerations.
-    band
-        [Hz] of the modes; None: from 0.3 to 20 times the slowest resonance.
-    highest_order
-        Poles that are tried at most.
+    before
+        Earlier tests, to find what has changed since; none: nothing is compared.
+    **options
+        As `AmbientOptions` has them.
 
     Raises
     ------
     AbraceError
         If there is a command, the tests are too short, or no band is given and no resonance found.
     """
-    found, warnings = ambient_test(runs_of(tests), several(channels), band_of(band), highest_order)
-    warn(warnings)
-    return IdentifiedModes(found)
+    checked = AmbientOptions.of({"channels": channels, **options})
+    change, earlier = None, (before,) if hasattr(before, "keys") else several(before)
+    if earlier:
+        found, _, change = compared_tests(checked.read(test), checked.read(earlier), checked)
+    else:
+        found = ambient_test(checked.read(test), checked)
+    return IdentifiedModes(found, change)

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace.interactive.given import rig_of, warn
+from abrace.interactive.given import rig_of, told_of, warn
 from abrace_bags import read_run as run_in_bag
-from abrace_core.response import clipped_sentences
-from abrace_core.tables import data_frame
+from abrace_core.model.tabular import Tabular
 from abrace_plant.records.files import read_record
 from abrace_plant.rig import characteristics
 from abrace_plant.rig.characteristics_figure import characteristics_figure
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from abrace.interactive.given import AnyRig
-    from abrace_core.run import Run
+    from abrace_core.model.run import Run
     from abrace_plant.records.record import Record
     from abrace_plant.rig.characteristics import Characteristics
     from abrace_plant.rig.model import Rig
@@ -41,13 +40,13 @@ def load_rig(rig: AnyRig) -> Rig:
     Raises
     ------
     AbraceError
-        With the file, the keys and what was expected, or the known names.
+        If the file is wrong: with its keys and what was expected; or with the known names.
     """
     return rig_of(rig)
 
 
 def load_record(
-    record: Path | str, unit: str | None = None, sample_period: float | None = None, channel: str | None = None
+    record: Path | str, unit: str | None = None, sample_period: float | None = None, channel: str | int | None = None
 ) -> Record:
     """Read a ground motion record, in m/s^2.
 
@@ -56,29 +55,29 @@ def load_record(
     record
         A known name (`el_centro`, `loma_prieta`, `san_fernando`, `northridge_aftershock`), a file, or a bag.
     unit
-        "g", "m/s^2" or "cm/s^2"; needed where the file does not state it.
+        "g", "m/s^2", "cm/s^2", "mm/s^2", "mg" or "in/s^2"; needed where the file does not state it.
     sample_period
-        [s]; needed where the file has no times.
+        [s]; needed where the file does not state it. It decides where times are rounded or have no unit.
     channel
-        Which of several: column, variable, number, or `topic:field` of a bag.
+        Which of several: name or number of a column, variable, channel; of a bag an acceleration, by default w.
 
     Raises
     ------
     AbraceError
-        With the file, the line and what was expected, or the known names.
+        If the file is wrong: with its line and what was expected; or with the known names.
     """
     return read_record(record, unit, sample_period, channel)
 
 
 def read_run(bag: Path | str, topic: str | None = None) -> Run:
-    """Read a recorded test from a bag; damage of the bag and clipped sensors are given as Python warnings.
+    """Read a recorded test from a bag; damage of the bag, stops and clipped sensors are Python warnings.
 
     Parameters
     ----------
     bag
         The folder of the bag, or a single file.
     topic
-        Of the responses; None: the only one.
+        Topic of the responses; None: the only one.
 
     Raises
     ------
@@ -86,22 +85,13 @@ def read_run(bag: Path | str, topic: str | None = None) -> Run:
         If there is no such bag or topic, or samples are missing or not finite.
     """
     run = run_in_bag(bag, topic)
-    clipped = clipped_sentences(run.clipped_samples)
-    warn([*run.facts.get("warnings", []), *(f"{run.source}: {sentence}" for sentence in clipped)])
+    warn(told_of(run))
     return run
 
 
 @dataclass(frozen=True)
-class Characterized:
-    """A rig measured as the paper measured its building.
-
-    Parameters
-    ----------
-    rig
-        The rig.
-    found
-        Frequencies [rad/s], damping ratios, bench test, first mode.
-    """
+class Characterized(Tabular):
+    """A rig measured as the paper measured its building: frequencies [rad/s], damping, bench test, first mode."""
 
     rig: Rig
     found: Characteristics
@@ -113,11 +103,13 @@ class Characterized:
 
     def to_pandas(self) -> pandas.DataFrame:
         """Pole pairs of the bare frame, with zero command, and further ones: [Hz], damping ratio."""
+        import pandas
+
         kinds = {"bare": self.found.bare, "zero command": self.found.zero_command, "further": self.found.extra}
         rows = [(kind, *pair) for kind, pairs in kinds.items() for pair in pairs]
         names, frequency, damping = zip(*rows, strict=True)
         columns = {"frequency [Hz]": np.array(frequency) / (2 * np.pi), "damping ratio": np.array(damping)}
-        return data_frame(columns, "poles", names)
+        return pandas.DataFrame(columns, index=pandas.Index(names, name="poles"))
 
     def plot(self) -> Figure:
         """Bench test, f/U in the building, poles and first mode."""

@@ -3,40 +3,42 @@
 
 from __future__ import annotations
 
-from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from abrace.interactive.given import controller_of, model_of, rig_of, warn
-from abrace_core import signals
-from abrace_core.discretization import discretize
-from abrace_core.errors import AbraceError
-from abrace_core.noise import banded_noise
-from abrace_core.own_law import GuardedLaw
-from abrace_core.run import Run
+from abrace.interactive.given import controller_of, law_of, model_of, rig_or_none, takes, told_of, warn
+from abrace_core import AbraceError
+from abrace_core.model import signals
+from abrace_core.model.controller_file import Controller
+from abrace_core.model.discretization import discretize
+from abrace_core.model.noise import banded_noise
+from abrace_core.model.own_law import GuardedLaw
+from abrace_core.model.run import Run
+from abrace_core.model.simulation import simulate as simulate_model
+from abrace_core.model.simulation import simulate_closed_loop
+from abrace_core.model.table_signals import table_noise
 from abrace_core.safety.command_guard import CommandGuard
 from abrace_core.safety.rig_safety import RAMP_TIME
-from abrace_core.simulation import simulate as simulate_model
-from abrace_core.simulation import simulate_closed_loop
-from abrace_core.table_signals import table_noise
 from abrace_lqg.active_controller import ActiveController
 from abrace_plant.live.simulated_run import simulated_run
+from abrace_plant.records.asked import keyword
 from abrace_plant.records.files import read_record
+from abrace_plant.records.options import PlayedOptions, SimulateOptions, Treatment
 from abrace_plant.records.record import Record
 from abrace_plant.records.table_motion import RECORD_REMEDIES, check_motion
-from abrace_plant.records.treatment import BAND_LIMIT, Treatment, prepare
-from abrace_plant.rig.model import Rig
+from abrace_plant.records.treatment import prepare
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
-    from abrace.interactive.given import AnyController, AnyModel, AnyRun
-    from abrace_core.linear_model import LinearModel
-    from abrace_core.own_law import Law
+    from abrace.interactive.given import AnyController, AnyModel
+    from abrace_core.model.linear_model import LinearModel
+    from abrace_core.model.own_law import Force, Law, LawSample
+    from abrace_plant.rig.model import Rig
 
 WHITE_NOISE = "white_noise"
 TABLE_NOISE: dict[str, Any] = {"band": (0.1, 10.0), "rms": 0.25}
@@ -50,17 +52,14 @@ RAMP = 0.5
 ROUNDING = 1e-9
 
 
+@takes(SimulateOptions)
 def simulate(
     structure: AnyModel,
-    record: Record | AnyRun | ArrayLike | None = None,
+    record: Record | Run | ArrayLike | Path | str | None = None,
     *,
-    controller: AnyController | Law | None = None,
+    controller: AnyController | Law | Callable[[LawSample], Force] | None = None,
     command: ArrayLike | str | None = None,
-    peak_acceleration: float = 0.0,
-    duration: float = 0.0,
-    seed: int = 0,
-    sample_period: float | None = None,
-    **treatment: Any,
+    **options: Any,
 ) -> Run:
     """Simulate a test, from rest.
 
@@ -75,25 +74,20 @@ def simulate(
         The motion of the table: a known name, a file, a Record, a Run whose table is played again, (samples,) [m/s^2]
         at the sample rate, "white_noise" (0.1 to 10 Hz, 0.25 m/s^2); None: at rest.
     controller
-        A controller, its file, a design; of a rig also a law of one's own (`abrace_core.own_law`).
+        A controller, its file, a design, a discrete StateSpace of python-control from measured quantities to commands
+        (its forces limited to the capacity); of a rig also a law of one's own (`abrace_core.model.own_law`), or a
+        function from its `LawSample` to forces [N].
     command
         Instead of a controller: (samples,) or (samples, groups) [N] of one brace, or "white_noise" (to 30 Hz,
         7 % of the capacity, which a model has from its tests); None: zero.
-    peak_acceleration
-        [m/s^2] to which the record is scaled; 0: as recorded.
-    duration
-        [s] to which record and command are padded or cut, or of the noise; 0: all of them.
-    seed
-        Of the sensors, from 0 on; white noise has the next ones, as the nodes have it by default.
-    sample_period
-        [s] of a simulated model; None: that of the controller, or of the tests that the model was identified from.
-    treatment
-        Of the record, as `Treatment` has it: `baseline`, `time_scale`, `taper`, `low_cut`, `band_limit`.
+    **options
+        As `SimulateOptions` has them.
 
     Returns
     -------
     Run
-        As from a bag. A rig that was stopped by a fault is a Python warning, with the cause.
+        As from a bag. A rig that was stopped by a fault (`run.stopped`) is a Python warning with the cause, a clipped
+        sensor one with its samples. Channels that a model does not have are NaN, with a Python warning.
 
     Raises
     ------
@@ -104,88 +98,89 @@ def simulate(
         raise AbraceError("simulate: controller and command, expected one of them")
     if isinstance(controller, type):
         raise AbraceError(f"simulate: controller {controller.__name__} is a class, expected {controller.__name__}(...)")
-    rig = _rig_or_none(structure)
+    checked = SimulateOptions.of(options)
+    rig, law = rig_or_none(structure), law_of(controller)
     if rig is not None:
         fixed = 1 / rig.sample_rate
     else:
         model = model_of(structure)
         fixed = model.sample_period
-    period = _period(fixed, sample_period) or _sample_period(model, controller)
-    if not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise AbraceError(f"simulate: seed {seed!r}, expected a whole number from 0 on")
-    fields = {**treatment, "peak_acceleration": peak_acceleration, "duration": duration}
-    if isinstance(record, (Record, str, Path)) and record != WHITE_NOISE:
-        fields = {"band_limit": BAND_LIMIT, **fields}
-    asked = _treatment(fields)
-    ground, name = _ground(record, 1 / period, asked, seed)
-    groups = rig.groups if rig is not None else len(model.inputs) - 1
     capacity = rig.capacity if rig is not None else np.array(model.provenance.get("force_limit", []))
-    forces = _commands(command, 1 / period, duration, groups, seed, COMMAND_SHARE * capacity)
+    period = _period(fixed, checked.sample_period) or _sample_period(model, None if law else controller, capacity)
+    ground, name = _ground(record, 1 / period, checked)
+    groups = rig.groups if rig is not None else len(model.inputs) - 1
+    forces = _commands(command, 1 / period, checked.duration, groups, checked.seed, COMMAND_SHARE * capacity)
     if ground is None and forces is None:
         raise AbraceError("simulate: neither record nor command, expected at least one")
     samples = max(len(each) for each in (ground, forces) if each is not None)
     ground, forces = _padded(ground, (samples,)), _padded(forces, (samples, groups))
     if rig is None:
-        return _of_model(model, ground, forces, controller, period, name)
-    if ground.any():
-        check_motion(ground, rig.sample_rate, rig.table, name, RECORD_REMEDIES)
-    force = _answer(rig, controller) if controller is not None else lambda k, _: forces[k].tolist()
-    run = simulated_run(rig, ground, force, seed, f"{rig.name}/{name}")
-    warn(run.facts.get("warnings", []))
+        if law is not None:
+            raise AbraceError("simulate: a law of your own and a model, expected a rig")
+        given = None if controller is None else controller_of(controller, capacity)
+        run = _of_model(model, ground, forces, given, period, name)
+    else:
+        if ground.any():
+            check_motion(ground, rig.sample_rate, rig.table, name, RECORD_REMEDIES)
+        force, case = (lambda k, _: forces[k].tolist()), f"{rig.name}/{name}"
+        if controller is not None:
+            force, called = _answer(rig, controller_of(controller, capacity) if law is None else law)
+            case = f"{case}/{called}"
+        run = simulated_run(rig, ground, force, checked.seed, case)
+    warn(told_of(run) if rig is not None else run.facts.get("warnings", []))
     return run
 
 
-def _rig_or_none(structure: Any) -> Rig | None:
-    if isinstance(structure, Rig):
-        return structure
-    is_name = isinstance(structure, (str, Path)) and not Path(structure).is_dir() and Path(structure).suffix != ".json"
-    return rig_of(structure) if is_name else None
-
-
-def _period(fixed: float, given: float | None) -> float:
+def _period(fixed: float, given: float) -> float:
     """The sample period that a rig or a sampled model has (`fixed`, 0: none), or that is given; 0: neither [s]."""
-    if given is None:
-        return fixed
-    if not isinstance(given, Real) or not 0 < given < np.inf or (fixed and abs(given / fixed - 1) > ROUNDING):
-        raise AbraceError(f"simulate: sample_period {given!r}, expected {f'{fixed:g}' if fixed else 'more than 0'} s")
-    return float(given)
+    if given and fixed and abs(given / fixed - 1) > ROUNDING:
+        raise AbraceError(f"simulate: sample_period {given!r}, expected {fixed:g} s")
+    return fixed or given
 
 
-def _sample_period(model: LinearModel, controller: Any) -> float:
+def _sample_period(model: LinearModel, controller: Any, capacity: NDArray[np.float64]) -> float:
     """The sample period of the controller, or of the tests that the model was identified from [s]."""
-    if controller is not None and not hasattr(controller, "begin"):
-        return controller_of(controller).law.sample_period
+    if controller is not None:
+        return controller_of(controller, capacity).law.sample_period
     found = model.provenance.get("sample_period")
     if not found:
         raise AbraceError("simulate: the sample period of this model is not known, expected sample_period in s")
     return float(found)
 
 
-def _treatment(fields: dict[str, Any]) -> Treatment:
-    known = Treatment.__dataclass_fields__
-    if unknown := [name for name in fields if name not in known]:
-        expected = f"expected a treatment of the record: {', '.join(known)}"
-        raise AbraceError(f"simulate: {', '.join(unknown)}: unknown, {expected}")
-    return Treatment(**fields)
-
-
-def _ground(record: Any, rate: float, asked: Treatment, seed: int) -> tuple[NDArray[np.float64] | None, str]:
+def _ground(record: Any, rate: float, asked: SimulateOptions) -> tuple[NDArray[np.float64] | None, str]:
     """The motion of the table (samples,) [m/s^2], and its name."""
     if record is None:
         return None, "command"
+    treated = set(PlayedOptions.model_fields)
+    of_file = {"unit", "record_sample_period", "channel"} & asked.model_fields_set
+    if of_file and not (isinstance(record, (str, Path)) and record != WHITE_NOISE):
+        raise AbraceError(f"simulate: {', '.join(sorted(of_file))} of {type(record).__name__}, expected of a file")
     if isinstance(record, str) and record == WHITE_NOISE:
-        if asked != Treatment(duration=asked.duration):
+        if asked.model_fields_set & treated:
             raise AbraceError(f"simulate: a treatment of {WHITE_NOISE!r}, expected only duration and seed")
-        return table_noise(round(asked.duration * rate), rate, **TABLE_NOISE, seed=seed + 1), WHITE_NOISE
+        return table_noise(round(asked.duration * rate), rate, **TABLE_NOISE, seed=asked.seed + 1), WHITE_NOISE
+    treatment = Treatment(**asked.model_dump(include={*treated, "duration"}))
+    if not isinstance(record, (Record, str, Path)) and "band_limit" not in asked.model_fields_set:
+        treatment = treatment.model_copy(
+            update={"band_limit": 0.0}
+        )  # it was played before, or is as the table is to move
     if isinstance(record, Run):
         motion = Record(record.source, record.sample_period, record.ground_acceleration)
     elif isinstance(record, Record):
         motion = record
     elif isinstance(record, (str, Path)):
-        motion = read_record(record)
+        motion = read_record(
+            record, asked.unit or None, asked.record_sample_period or None, asked.channel or None, _way
+        )
     else:
         motion = Record("motion", 1 / rate, _numbers(record, "record"))
-    return prepare(motion, rate, asked), motion.name
+    return prepare(motion, rate, treatment), motion.name
+
+
+def _way(name: str, value: str) -> str:
+    """How an argument of `simulate` is given: it calls the sample period of a record otherwise."""
+    return keyword("record_sample_period" if name == "sample_period" else name, value)
 
 
 def _numbers(given: Any, what: str) -> NDArray[np.float64]:
@@ -233,15 +228,14 @@ def _padded(values: NDArray[np.float64] | None, shape: tuple[int, ...]) -> NDArr
     return padded
 
 
-def _answer(rig: Rig, controller: Any) -> Callable[[int, list[float]], list[float]]:
-    """The controller as its node runs it: forces fade in, and pass the limits."""
+def _answer(rig: Rig, given: Controller | Law) -> tuple[Callable[[int, list[float]], list[float]], str]:
+    """The controller as its node runs it: forces fade in, and pass the limits; and its name."""
     period, floors, groups = 1 / rig.sample_rate, rig.floors, rig.groups
-    if hasattr(controller, "begin"):
-        limit, law = rig.capacity, GuardedLaw(controller, period, RAMP)
+    if not isinstance(given, Controller):
+        limit, law = rig.capacity, GuardedLaw(given, period, RAMP)
         law.begin(floors, groups)
         active = None
     else:
-        given = controller_of(controller)
         if abs(given.law.sample_period / period - 1) > ROUNDING:
             raise AbraceError(
                 f"controller {given.name}: every {given.law.sample_period:g} s, expected the rig's {period:g} s"
@@ -257,29 +251,35 @@ def _answer(rig: Rig, controller: Any) -> Callable[[int, list[float]], list[floa
             active.advance(guard.value)
         return guard.value
 
-    return force
+    return force, given.name if isinstance(given, Controller) else type(given).__name__
 
 
 def _of_model(
     model: LinearModel,
     ground: NDArray[np.float64],
     forces: NDArray[np.float64],
-    controller: Any,
+    given: Controller | None,
     period: float,
     name: str,
 ) -> Run:
     groups = len(model.inputs) - 1
-    floors = sum(output[0] == "x" and output[1:].isdigit() for output in model.outputs)
-    wanted = model.select(signals.response_names(floors, groups), (signals.GROUND, *signals.command_names(groups)))
+    floors = max((int(each[1:]) for each in model.outputs if each[0] in "xa" and each[1:].isdigit()), default=0)
+    names = signals.response_names(floors, groups)
+    has = [each for each in names if each in model.outputs]
+    if not has:
+        raise AbraceError(f"simulate: a model with outputs {', '.join(model.outputs)}, expected some of a rig, as x1")
+    wanted = model.select(has, (signals.GROUND, *signals.command_names(groups)))
     sampled = wanted if wanted.sample_period else discretize(wanted, period)
-    if controller is None:
+    if given is None:
         outputs = simulate_model(sampled, np.column_stack([ground, forces]))
         command = np.vstack([np.zeros((1, groups)), forces[:-1]])
-    elif hasattr(controller, "begin"):
-        raise AbraceError("simulate: a law of your own and a model, expected a rig")
     else:
-        given = controller_of(controller)
         outputs, command = simulate_closed_loop(sampled, given.law, ground, given.force_limit, given.correction)
     sequence = np.arange(len(ground), dtype=np.uint64)
-    facts = {"sample_period": repr(period), "rig": str(model.provenance.get("rig", ""))}
-    return Run(f"model/{name}", period, sequence, floors, groups, outputs, ground, command, facts)
+    facts: dict[str, Any] = {"sample_period": repr(period), "rig": str(model.provenance.get("rig", ""))}
+    if len(has) < len(names):
+        lacking = ", ".join(each for each in names if each not in has)
+        facts["warnings"] = [f"the model has no {lacking}: not a number (NaN) in the run"]
+    every = np.full((len(ground), len(names)), np.nan)
+    every[:, [names.index(each) for each in has]] = outputs
+    return Run(f"model/{name}", period, sequence, floors, groups, every, ground, command, facts)

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from abrace.interactive.given import controller_of, model_of, runs_of, several
-from abrace_core.errors import AbraceError
-from abrace_core.one_thread import one_thread
-from abrace_core.tables import data_frame
+from abrace.interactive.given import controller_of, model_of, several
+from abrace_core.model.one_thread import one_thread
+from abrace_core.model.signals import most_telling
+from abrace_core.model.tabular import Tabular
 from abrace_sysid import validation
 from abrace_sysid.figures.validation import time_histories
-from abrace_sysid.nonlinear.elements import Nonlinearity
+from abrace_sysid.recorded.test import given_tests
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,13 +22,14 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-    from abrace.interactive.given import AnyController, AnyModel, AnyRun
+    from abrace.interactive.given import AnyController, AnyModel
+    from abrace_sysid.recorded.test import AnyTest
     from abrace_sysid.validation import Comparison
     from abrace_sysid.validity.finding import Finding
 
 
 @dataclass(frozen=True)
-class Validated:
+class Validated(Tabular):
     """Comparison of a test with its simulation by a model.
 
     Parameters
@@ -36,21 +37,19 @@ class Validated:
     comparison
         Measured and simulated.
     finding
-        Of the channel that is predicted worst.
-    not_linear
-        The same with what the model's tests showed of friction, joints, deadband and backlash; None: nothing.
+        The finding of the channel that is predicted worst.
     """
 
     comparison: Comparison
     finding: Finding
-    not_linear: Comparison | None = None
 
     def __repr__(self) -> str:
-        worst = f"worst {self.finding.where}, {100 * self.finding.value:.2g} % beyond its noise"
-        return f"<Validated: {self.comparison.source}: {worst}: {self.finding.verdict.words}>"
+        return f"<Validated: {self.comparison.source}: {self.finding.verdict.words}: {self.finding.meaning}>"
 
     def to_pandas(self) -> pandas.DataFrame:
         """Of each channel peak and rms, measured and simulated [SI units], correlation and relative errors."""
+        import pandas
+
         comparison, names = self.comparison, self.comparison.names
         measured, simulated = comparison.measured_peak_rms(), comparison.simulated_peak_rms()
         columns = {
@@ -65,7 +64,7 @@ class Validated:
             ("without sensor noise", comparison.noise_free_error()),
         ):
             columns[title] = [values.get(name, np.nan) for name in names]
-        return data_frame(columns, "channel", names)
+        return pandas.DataFrame(columns, index=pandas.Index(names, name="channel"))
 
     def plot(self, channels: Sequence[str] = ()) -> Figure:
         """Measured and simulated over time.
@@ -75,19 +74,17 @@ class Validated:
         channels
             One row each; none: the top floor's displacement and the first acceleration.
         """
-        names = self.comparison.names
-        floors = [name for name in names if name[0] == "x" and name[1:].isdigit()]
-        return time_histories(self.comparison, several(channels) or (*floors[-1:], "a1"))
+        return time_histories(self.comparison, several(channels) or most_telling(self.comparison.names)).figure()
 
 
 @one_thread()
-def validate(test: AnyRun, model: AnyModel, *, controller: AnyController | None = None) -> Validated:
+def validate(test: AnyTest, model: AnyModel, *, controller: AnyController | None = None) -> Validated:
     """Compare a recorded test with its simulation by a model.
 
     Parameters
     ----------
     test
-        A Run or its bag.
+        A test (`abrace.Test`, Run or bag) of a rig.
     model
         A model, its file, an identification (or its folder), a rig, a StateSpace of python-control.
     controller
@@ -96,17 +93,13 @@ def validate(test: AnyRun, model: AnyModel, *, controller: AnyController | None 
     Raises
     ------
     AbraceError
-        If test, model and controller are not of the same rig, or the test has a gap.
+        If test, model and controller are not of the same rig, or the test has a gap. Channels that the model does not
+        have are not compared, and named.
     """
-    (run, *more) = runs_of(test)
-    if more:
-        raise AbraceError(f"{run.source}: {1 + len(more)} runs, expected one")
-    law: Any = None
-    limit, correction = np.full(run.groups, np.inf), None
+    tests, linear = given_tests(test), model_of(model)
+    law: tuple[Any, Any, Any] = (None, None, None)
     if controller is not None:
-        given = controller_of(controller)
-        law, limit, correction = given.law, given.force_limit, given.correction
-    linear = model_of(model)
-    comparison, elements = validation.compare(run, linear, law, limit, correction), Nonlinearity.of_model(linear)
-    other = None if elements is None else validation.compare(run, linear, law, limit, correction, elements)
-    return Validated(comparison, validation.predicted(comparison), other)
+        given = controller_of(controller, linear.provenance.get("force_limit", ()))
+        law = given.law, given.force_limit, given.correction
+    comparison = validation.compare(tests, linear, *law)
+    return Validated(comparison, validation.predicted(comparison))

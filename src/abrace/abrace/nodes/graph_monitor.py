@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The campaign's own node in the graph: it reads diagnostics and changes the state of life cycle nodes."""
+"""The campaign's own node in the graph: reads diagnostics, changes the state of life cycle nodes, begins signals."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
 
+from abrace.nodes.graph_operator import StopButton
 from abrace.report.node_table import NodeReports, count_of
-from abrace_core.errors import RunFailed
-from abrace_core.node import DIAGNOSTICS
-from abrace_core.node.leaving import destroy
-from abrace_core.node.transport import profile
+from abrace_core import RunFailed
+from abrace_node.node import DIAGNOSTICS, served_subscriptions
+from abrace_node.transport import TRANSIENT_LOCAL_QOS, destroy, profile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -27,21 +28,16 @@ if TYPE_CHECKING:
 SPIN_TIMEOUT = 0.05
 """Seconds that one spin waits at most."""
 TRANSITIONS = {
-    Transition.TRANSITION_CONFIGURE: "configure",
-    Transition.TRANSITION_ACTIVATE: "activate",
-    Transition.TRANSITION_DEACTIVATE: "deactivate",
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "activate": Transition.TRANSITION_ACTIVATE,
+    "deactivate": Transition.TRANSITION_DEACTIVATE,
 }
 
 
 def expected_matches(inputs: Mapping[str, str], plant: bool = True) -> dict[str, dict[str, int]]:
     """What each node of a test has to find before that begins, for `GraphMonitor.wait_until_matched`.
 
-    Parameters
-    ----------
-    inputs
-        The topics that the rig obeys, and the node that publishes each.
-    plant
-        Whether the rig is the node `plant`; otherwise it is known by what it publishes alone.
+    `inputs` of the rig, and the node that publishes each. Without `plant` the rig is known by what it publishes alone.
     """
     expected = {"logger": {f"publishers of {topic}": 1 for topic in ("response", *inputs)}}
     if plant:
@@ -59,23 +55,22 @@ def expected_matches(inputs: Mapping[str, str], plant: bool = True) -> dict[str,
 
 
 class GraphMonitor:
-    """Watches the nodes of a namespace, and no others, through their diagnostics; a context manager.
+    """Watches the nodes of a `namespace` (`/demo`), and no others, through their diagnostics; a context manager.
 
-    Parameters
-    ----------
-    namespace
-        Of the nodes, as `/demo`.
-    driven
-        Names of the life cycle nodes whose state it changes.
-    name
-        Of its node.
-    enclave
-        Of SROS2, whose keys it uses.
+    It changes the state of the life cycle nodes `driven`, and begins the signals of the nodes `signals`; its own node
+    has a `name` and an `enclave` of SROS2.
     """
 
-    def __init__(self, namespace: str, driven: Sequence[str], name: str = "campaign", enclave: str = "/") -> None:
+    def __init__(
+        self,
+        namespace: str,
+        driven: Sequence[str],
+        signals: Sequence[str] = (),
+        name: str = "monitor",
+        enclave: str = "/",
+    ) -> None:
         self._namespace = namespace
-        self._driven = driven
+        self._driven, self._signals = driven, signals
         self._name = name
         self._enclave = enclave
         self.reports = NodeReports()
@@ -106,6 +101,7 @@ class GraphMonitor:
         self._state_clients = {
             name: self._node.create_client(ChangeState, f"{name}/change_state") for name in self._driven
         }
+        self._play_clients = {name: self._node.create_client(Trigger, f"{name}/play") for name in self._signals}
         # after the clients: whose diagnostics come has discovered those before
         self._node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 50)
         return self
@@ -129,6 +125,28 @@ class GraphMonitor:
         """Receive diagnostics and answers of services."""
         self._executor.spin_once(timeout_sec=SPIN_TIMEOUT)
 
+    def expect_no_rig(self, seconds: float) -> None:
+        """Look for a rig, or a campaign's node of the same name, in the namespace for so many `seconds`.
+
+        Raises
+        ------
+        RunFailed
+            If there is one.
+        """
+        deadline, own = time.monotonic() + seconds, (self._name, self._namespace)
+        while time.monotonic() < deadline:
+            self.spin_once()
+            nodes = self._node.get_node_names_and_namespaces()
+            nodes.remove(own)
+            found = {name for name, space in nodes if space == self._namespace and name in ("plant", self._name)}
+            found |= {one.node_name for one in self._node.get_publishers_info_by_topic("response")}
+            if found:
+                raise RunFailed(
+                    f"namespace {self._namespace} of ROS domain {self._context.get_domain_id()} has "
+                    f"{' and '.join(sorted(found))} already, expected no rig and no campaign there: end it, or take "
+                    "another ROS_DOMAIN_ID or campaign name"
+                )
+
     def wait_until_heard(self, node: str, timeout: float, check: Callable[[], None]) -> None:
         """Wait for the diagnostics of a node that may have started before us.
 
@@ -145,16 +163,9 @@ class GraphMonitor:
                 raise RunFailed(f"no diagnostics of {node} in namespace {self._namespace} within {timeout:g} s")
 
     def tells_partners(self, node: str, timeout: float, check: Callable[[], None]) -> bool:
-        """Whether a node of the user's reports in its diagnostics whom it has found, as abrace's nodes do.
+        """Whether the user's `node` reports whom it has found in its first diagnostics, as abrace's nodes do.
 
-        Parameters
-        ----------
-        node
-            Its name.
-        timeout
-            Seconds in which its first diagnostics are waited for.
-        check
-            Called after each spin; raises when a node has died.
+        They have `timeout` [s]; `check` is called after each spin, and raises when a node has died.
         """
         deadline = time.monotonic() + timeout
         while node not in self.values and time.monotonic() < deadline:
@@ -168,16 +179,9 @@ class GraphMonitor:
         """Wait until every node reports that its publishers and subscribers are matched, and messages come.
 
         Further subscribers, such as viewers and `ros2 bag record`, are welcome, and waited for; further publishers are
-        refused.
-
-        Parameters
-        ----------
-        expected
-            By node, by entry of its diagnostics ("subscribers of response"): how many at least; of publishers exactly.
-        timeout
-            Seconds.
-        check
-            Called after each spin; raises when a node has died.
+        refused. `expected`: by node, by entry of its diagnostics ("subscribers of response"), how many at least; of
+        publishers exactly. `check` is called after each spin, for at most `timeout` [s], and raises when a node has
+        died.
 
         Raises
         ------
@@ -195,7 +199,7 @@ class GraphMonitor:
                     side, _, topic = entry.partition(" of ")
                     if side == "subscribers":
                         # a count does not tell whose: where a viewer has matched, a partner may be missing
-                        count = max(count, self._listeners(topic))
+                        count = max(count, len(served_subscriptions(self._node, topic)))
                     elif side == "publishers" and found > count:
                         raise RunFailed(
                             f"{node} has {found} {entry} in namespace {self._namespace}, expected {count}: "
@@ -208,14 +212,8 @@ class GraphMonitor:
             if time.monotonic() > deadline:
                 raise RunFailed(f"nodes did not find each other within {timeout:g} s: {'; '.join(missing)}")
 
-    def _listeners(self, topic: str) -> int:
-        """Subscriptions to a topic that its publisher can serve, those of viewers included."""
-        offered = [endpoint.qos_profile for endpoint in self._node.get_publishers_info_by_topic(topic)]
-        asked = [endpoint.qos_profile for endpoint in self._node.get_subscriptions_info_by_topic(topic)]
-        return sum(any(qos_check_compatible(one, qos)[0] != QoSCompatibility.ERROR for one in offered) for qos in asked)
-
-    def change_state(self, node: str, transition: int, timeout: float, check: Callable[[], None]) -> None:
-        """Take a life cycle node through a transition.
+    def change_state(self, node: str, transition: str, timeout: float, check: Callable[[], None]) -> None:
+        """Take a life cycle node through a transition of TRANSITIONS.
 
         Raises
         ------
@@ -230,24 +228,47 @@ class GraphMonitor:
             if time.monotonic() > deadline:
                 raise RunFailed(f"{node} does not offer its life cycle within {timeout:g} s")
         request = ChangeState.Request()
-        request.transition.id = transition
+        request.transition.id = TRANSITIONS[transition]
         future = client.call_async(request)
         while not future.done():
             self.spin_once()
             check()
             if time.monotonic() > deadline:
-                raise RunFailed(f"{node} did not {TRANSITIONS[transition]} within {timeout:g} s")
+                raise RunFailed(f"{node} did not {transition} within {timeout:g} s")
         if not future.result().success:
-            raise RunFailed(f"{node} refused to {TRANSITIONS[transition]}")
+            raise RunFailed(f"{node} refused to {transition}")
 
-    def configure(self, node: str, timeout: float, check: Callable[[], None]) -> None:
-        """Configure a life cycle node."""
-        self.change_state(node, Transition.TRANSITION_CONFIGURE, timeout, check)
+    def play(self, timeout: float, check: Callable[[], None]) -> None:
+        """Have all `signals` play, each as soon as its node accepts it: when the rig is running.
 
-    def deactivate(self, node: str, timeout: float, check: Callable[[], None]) -> None:
-        """Deactivate a life cycle node."""
-        self.change_state(node, Transition.TRANSITION_DEACTIVATE, timeout, check)
+        Raises
+        ------
+        RunFailed
+            If one does not within `timeout` [s], with the node's reason.
+        """
+        deadline, waiting = time.monotonic() + timeout, dict.fromkeys(self._signals, "no answer")
+        while not all(client.service_is_ready() for client in self._play_clients.values()):
+            self.spin_once()
+            check()
+            if time.monotonic() > deadline:
+                raise RunFailed(f"{' or '.join(waiting)} does not offer to play within {timeout:g} s")
+        while waiting:
+            asked = {node: self._play_clients[node].call_async(Trigger.Request()) for node in waiting}
+            while not all(answer.done() for answer in asked.values()) and time.monotonic() < deadline:
+                self.spin_once()
+                check()
+            for node, answer in asked.items():
+                if answer.done() and answer.result().success:
+                    del waiting[node]
+                elif answer.done():
+                    waiting[node] = answer.result().message
+            if waiting and time.monotonic() > deadline:
+                reasons = "; ".join(f"{node}: {reason}" for node, reason in waiting.items())
+                raise RunFailed(f"not playing within {timeout:g} s: {reasons}")
+            time.sleep(SPIN_TIMEOUT if waiting else 0.0)
 
-    def activate(self, node: str, timeout: float, check: Callable[[], None]) -> None:
-        """Activate a life cycle node."""
-        self.change_state(node, Transition.TRANSITION_ACTIVATE, timeout, check)
+
+def repeat_as_stop_button(monitor: GraphMonitor) -> None:
+    """Make a `monitor` a stop button that repeats itself while it spins: of a rig that is emulated."""
+    publisher = monitor._node.create_publisher(Bool, "emergency_stop", TRANSIENT_LOCAL_QOS)
+    StopButton(monitor._node, publisher, lambda: False)

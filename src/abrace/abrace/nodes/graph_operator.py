@@ -21,9 +21,9 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from abrace.report.node_table import NodeReport, NodeReports
-from abrace_core.errors import AbraceError
-from abrace_core.node import DIAGNOSTICS
-from abrace_core.suggestion import did_you_mean
+from abrace_core import AbraceError
+from abrace_core.files.suggestion import did_you_mean
+from abrace_node.node import DIAGNOSTICS
 
 STOP_TOPIC = "/emergency_stop"
 STOP_PERIOD = 0.1
@@ -44,16 +44,9 @@ class Refused(AbraceError):  # noqa: N818
 
 
 class StopButton:
-    """One of the laboratory's stop buttons: it publishes whether it is pressed, now and every `STOP_PERIOD`.
+    """One of the laboratory's stop buttons.
 
-    Parameters
-    ----------
-    node
-        Which repeats it.
-    publisher
-        Of std_msgs/Bool on `STOP_TOPIC`.
-    pressed
-        Whether it is pressed now; called in any thread.
+    Its `node` publishes, now and every `STOP_PERIOD`, whether it is `pressed`, which is called in any thread.
     """
 
     def __init__(self, node: Node, publisher: Publisher, pressed: Callable[[], bool]) -> None:
@@ -75,12 +68,7 @@ class StopButton:
 class GraphOperator:
     """An operator in the running graph.
 
-    Parameters
-    ----------
-    node
-        Whose subscriptions and clients it uses.
-    receive
-        Lets the node receive for a moment: spins it, or waits while another thread does.
+    `receive` lets its `node` receive for a moment, spins it, or waits while another thread does.
     """
 
     def __init__(self, node: Node, receive: Callable[[], object]) -> None:

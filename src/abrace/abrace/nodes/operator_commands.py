@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands of an operator, for machines without `ros2`: status, stop, clear and set on the running graph."""
+"""The commands of an operator, for machines without `ros2`: what `abrace` does on the running graph."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import rclpy
@@ -19,16 +19,18 @@ from yaml import YAMLError
 
 from abrace.nodes.graph_operator import PATIENCE, STOP_TOPIC, TRIES, GraphOperator, Refused, StopButton
 from abrace.report.node_table import node_table
-from abrace_core.errors import AbraceError
-from abrace_core.node import TRANSIENT_LOCAL_QOS, RCLError, rcl_message
-from abrace_core.node.leaving import destroy
-from abrace_core.node.transport import profile
+from abrace_core import AbraceError
+from abrace_core.safety.rig_safety import NOT_MEASURED
 from abrace_core.safety.stop_senders import UNNAMED
+from abrace_node.node import RCLError, rcl_message
+from abrace_node.transport import TRANSIENT_LOCAL_QOS, destroy, profile
 
 NAMING = 2.5
 """Seconds in which a rig may learn who pressed."""
 REFRESH = 0.5
 """Seconds between tables on a terminal."""
+AGAIN = 0.1
+"""Seconds after which a clear is asked for again."""
 
 
 @contextmanager
@@ -89,16 +91,34 @@ def stop() -> int:
         return int(not listening)
 
 
-def clear(node: str) -> int:
-    """Clear the latched fault of a `node`; returns the exit code: 1 if that is refused."""
+def act_on(node: str, command: str) -> int:
+    """Activate, deactivate, clear or play a `node`; returns the exit code: 1 if that is refused."""
     with graph_operator() as operator:
         name = operator.full_name(node)
+        acts: dict[str, Callable[[], str]] = {
+            "activate": lambda: operator.arm(name),
+            "deactivate": lambda: operator.disarm(name),
+            "clear": lambda: _clear(operator, name),
+            "play": lambda: operator.trigger(f"{name}/play"),
+        }
         try:
-            print(f"{name}: {operator.trigger(f'{name}/clear_fault', TRIES)}")
+            print(f"{name}: {acts[command]()}")
         except Refused as refusal:
             print(f"{name}: {refusal}", file=sys.stderr)
             return 1
     return 0
+
+
+def _clear(operator: GraphOperator, name: str) -> str:
+    """Clear a node's fault, of a rig that has just stopped once its rest has been measured; returns its answer."""
+    end = time.monotonic() + PATIENCE
+    while True:
+        try:
+            return operator.trigger(f"{name}/clear_fault", TRIES)
+        except Refused as refusal:
+            if not str(refusal).startswith(NOT_MEASURED) or time.monotonic() > end:
+                raise
+        operator.wait(AGAIN)
 
 
 def set_parameter(node: str, parameter: str, value: str) -> int:

@@ -9,17 +9,22 @@ those of nodes that report `signal` and `elapsed` in their diagnostics: `ground_
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
 import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.task import Future
 
 from abrace.nodes.graph_monitor import GraphMonitor, expected_matches
-from abrace_core.errors import AbraceError
-from abrace_core.node import AbraceNode, Parameter, run
+from abrace_core import AbraceError
 from abrace_core.safety.rig_safety import RAMP_TIME
+from abrace_node.node import AbraceNode
+from abrace_node.parameters import Parameter
+from abrace_node.process import run
+from abrace_node.threads import LONGEST_WAIT
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -38,7 +43,7 @@ PARAMETERS = [
         required=True,
     ),
     Parameter("plant", True, "the rig is the node plant, which is activated; false: the nodes of inputs are, in turn"),
-    Parameter("signals", [], "nodes for whose signals the test waits; empty: it runs until stopped", element=str),
+    Parameter("signals", [], "nodes whose signals are played, and waited for; empty: runs until stopped", element=str),
     Parameter("free_decay", 5.0, "s from the end of the last signal to the end of the test", minimum=0.0),
     Parameter("patience", 30.0, "s within which the nodes have to start and find each other", minimum=0.1),
 ]
@@ -59,7 +64,8 @@ class Supervisor(AbraceNode):
 
     def work(self) -> None:
         """Begin, watch and end the test."""
-        watching = GraphMonitor(self.get_namespace(), self.held, "supervisor_monitor", self.enclave)
+        own = "supervisor_monitor", self.enclave
+        watching = GraphMonitor(self.get_namespace(), self.held, self.parameters.signals, *own)
         with self.answering(), watching as self.monitor:
             try:
                 self.begin()
@@ -76,15 +82,25 @@ class Supervisor(AbraceNode):
     @contextmanager
     def answering(self) -> Iterator[None]:
         """Have a thread answer the node's services, as whoever displays its parameters expects, and report."""
-        executor = SingleThreadedExecutor()
-        executor.add_node(self)
-        thread = threading.Thread(target=executor.spin, name="services")
-        thread.start()
-        try:
-            yield
-        finally:
-            executor.shutdown()
-            thread.join()
+        over = Future()
+        with self.spinning() as executor:
+
+            def spin() -> None:
+                while not over.done():
+                    executor.spin_until_future_complete(over, LONGEST_WAIT)
+
+            thread = threading.Thread(target=spin, name="services")
+            thread.start()
+            try:
+                yield
+            finally:
+                executor.create_task(over.set_result, None)
+                thread.join()
+
+    def fail(self, error: BaseException) -> None:
+        """End `work` as well: a service has failed."""
+        super().fail(error)
+        os.kill(os.getpid(), signal.SIGTERM)
 
     def note_faults(self) -> None:
         """Keep the faults that nodes report, for the end: a person may clear them, and the test go on."""
@@ -104,14 +120,15 @@ class Supervisor(AbraceNode):
         return next(enclave for name, namespace, enclave in nodes if (name, namespace) == itself)
 
     def begin(self) -> None:
-        """Configure the inactive nodes, and activate them once all nodes are matched."""
+        """Configure the inactive nodes, activate them once all nodes are matched, and have the signals play."""
         monitor, patience = self.monitor, self.parameters.patience
         for node in self.held:
             monitor.wait_until_heard(node, patience, self.note_faults)
-            monitor.configure(node, patience, self.note_faults)
+            monitor.change_state(node, "configure", patience, self.note_faults)
         monitor.wait_until_matched(expected_matches(self.inputs, self.parameters.plant), patience, self.note_faults)
         for node in self.held:
-            monitor.activate(node, patience, self.note_faults)
+            monitor.change_state(node, "activate", patience, self.note_faults)
+        monitor.play(patience, self.note_faults)
         print(f"supervisor: all nodes have found each other; {' and '.join(self.held)} activated", flush=True)
 
     def watch(self) -> None:
@@ -149,7 +166,7 @@ class Supervisor(AbraceNode):
     def end(self) -> None:
         """Deactivate what was activated, the last one first; where that is not the rig, its force goes to zero."""
         for node in reversed(self.held):
-            self.monitor.deactivate(node, self.parameters.patience, self.note_faults)
+            self.monitor.change_state(node, "deactivate", self.parameters.patience, self.note_faults)
         if not self.parameters.plant:
             self.spin(2 * RAMP_TIME)
 

@@ -2,32 +2,44 @@
 """Starting, watching and stopping the processes of a test, so that none outlives it.
 
 Every node runs in a session of its own: Ctrl-C at the terminal reaches only this process, which stops the nodes in an
-order that lets the logger close its bag last. Signals go to a node's whole process group, including its children. If
-this process is killed before it could stop them (kill -9), a small guard process ends them (`orphan_guard`).
+order that lets the logger close its bag last. Signals go to a node's whole process group, including its children. The
+`launcher` starts them, and ends them if this process is killed before it could stop them (kill -9).
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import shutil
 import signal
-import subprocess
-import sys
+import time
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from abrace.processes import orphan_guard
-from abrace_core.errors import AbraceError, RunFailed
-from abrace_core.suggestion import expected_of
+from abrace.processes.launcher import POLL_PERIOD, Launcher, end, send
+from abrace.processes.shared_memory import remove_stale_segments
+from abrace_core import AbraceError, RunFailed
+from abrace_core.files.suggestion import expected_of
+from abrace_node.executable import NO_ROS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
 PACKAGE_MARKERS = Path("share/ament_index/resource_index/packages")
+FULL = 1 << 20
+"""Free bytes below which a disk is full."""
+LAST_THREADS = 1.0
+"""Seconds for which an ended process may still have threads."""
 
-# writes the process group to the guard, then becomes the node
-_ANNOUNCE_AND_BECOME = 'echo "+$$" >&0; exec "$@" </dev/null'
+
+@cache
+def launcher() -> Launcher:
+    """The launcher of this program; it starts when it is first needed, and ends with the program."""
+    made = Launcher()
+    atexit.register(made.close)
+    return made
 
 
 def find_executable(package: str, executable: str) -> Path:
@@ -39,7 +51,7 @@ def find_executable(package: str, executable: str) -> Path:
         If there is none; the message names the package's executables, or the packages that have executables.
     """
     if not prefixes():
-        raise AbraceError("AMENT_PREFIX_PATH is not set: expected ros2_ws/setup.bash to be sourced first")
+        raise AbraceError(NO_ROS)
     for prefix in prefixes():
         path = prefix / "lib" / package / executable
         if _is_executable(path):
@@ -76,53 +88,44 @@ def _is_executable(path: Path) -> bool:
 class NodeDied(RunFailed):
     """A node ended by itself.
 
-    Parameters
-    ----------
-    name
-        Name under which the node was started.
-    returncode
-        Its exit code, or minus the number of the signal that ended it.
-    log_file
-        The file with its output.
-    last_lines
-        The end of its output.
+    Its name, exit code or minus the number of the signal that ended it, and the end of its output.
     """
 
     def __init__(self, name: str, returncode: int, log_file: Path, last_lines: Sequence[str]) -> None:
         how = f"exit code {returncode}" if returncode >= 0 else f"ended by {signal.Signals(-returncode).name}"
-        output = "".join(f"\n  | {line}" for line in last_lines) or " nothing"
-        super().__init__(f"{name} died ({how}), its output in {log_file} ends with:{output}")
+        if shutil.disk_usage(log_file.parent).free < FULL:
+            how += ", no space left on the disk"
+        last = next((line.strip() for line in reversed(last_lines) if line.strip()), "it printed nothing")
+        super().__init__(f"{name} died ({how}): {last} (all it printed: {log_file})")
         self.name, self.returncode, self.last_lines = name, returncode, tuple(last_lines)
 
 
 class NodeProcess:
-    """A process that a ProcessGroup started."""
+    """A process that a ProcessGroup started; `group` is its process group, which is the process's own number."""
 
-    def __init__(self, name: str, log_file: Path, popen: subprocess.Popen[bytes]) -> None:
+    def __init__(self, name: str, log_file: Path, group: int) -> None:
         self.name = name
         self.log_file = log_file
-        self._popen = popen
-
-    @property
-    def group(self) -> int:
-        """The process group, which is the process's own number."""
-        return self._popen.pid
+        self.group = group
+        self._returncode: int | None = None
 
     @property
     def returncode(self) -> int | None:
         """Exit code, or minus the number of the signal that ended it; None while it runs."""
-        if self._popen.returncode is None:
+        if self._returncode is None:
             # the process is left unreaped, so that its group's number is not used again before `reap`
             ended = os.waitid(os.P_PID, self.group, os.WEXITED | os.WNOHANG | os.WNOWAIT)
-            if ended is None:
-                return None
-            return ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
-        return self._popen.returncode
+            if ended is not None:
+                self._returncode = ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
+        return self._returncode
 
     def reap(self) -> None:
         """Release an ended process and keep its exit code; its last threads may still be ending."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._popen.wait(timeout=1.0)
+        deadline = time.monotonic() + LAST_THREADS
+        while self.returncode is None and time.monotonic() < deadline:
+            time.sleep(POLL_PERIOD)
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(self.group, os.WNOHANG)
 
     def last_lines(self, count: int = 10) -> list[str]:
         """The last `count` lines of its output."""
@@ -150,8 +153,7 @@ class ProcessGroup:
     grace
         Time to wait after SIGINT, and again after SIGTERM and SIGKILL, when a process is stopped [s].
     held
-        Open files, such as a lock, that the guard inherits: they stay open until the last process has ended, even after
-        kill -9.
+        Open files, such as a lock, that every process inherits: they stay open until the last one has ended.
 
     Examples
     --------
@@ -172,34 +174,29 @@ class ProcessGroup:
         self._ended: list[NodeProcess] = []
 
     def __enter__(self) -> ProcessGroup:
-        """Start the guard."""
-        script = Path(orphan_guard.__file__)
-        self._guard = subprocess.Popen(
-            [sys.executable, "-I", "-S", str(script), str(self._grace)],
-            bufsize=0,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            pass_fds=self._held,
-            start_new_session=True,
-        )
-        assert self._guard.stdin is not None
-        self._to_guard = self._guard.stdin
+        """Start the launcher, if it does not run yet, and remove what killed nodes have left in shared memory."""
+        remove_stale_segments(Path("/dev/shm"))
+        if not launcher().runs:
+            launcher.cache_clear()
+        self._launcher = launcher()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop every process, then the guard."""
+        """Stop every process."""
         try:
             self.stop_all()
         except BaseException:
             for process in self._processes.values():
-                orphan_guard.send(process.group, signal.SIGKILL)
+                send(process.group, signal.SIGKILL)
             raise
-        finally:
-            self._to_guard.close()
-            self._guard.wait()
 
     def start(
-        self, name: str, argv: Sequence[str | Path], log_file: Path | str, environment: Mapping[str, str] | None = None
+        self,
+        name: str,
+        argv: Sequence[str | Path],
+        log_file: Path | str,
+        environment: Mapping[str, str] | None = None,
+        offline: bool = False,
     ) -> NodeProcess:
         """Start a process in a session of its own.
 
@@ -213,6 +210,8 @@ class ProcessGroup:
             Receives its output, errors included; an existing file is replaced.
         environment
             Variables in addition to this process's.
+        offline
+            Whether it is an offline node: then it has no modules in common with those that act on a rig.
 
         Raises
         ------
@@ -226,23 +225,18 @@ class ProcessGroup:
         program = str(argv[0])
         if shutil.which(program, path=variables.get("PATH")) is None:
             raise AbraceError(f"cannot start {name}: {program}, expected a program")
-        if self._guard.poll() is not None:
-            raise AbraceError(f"cannot start {name}: the guard process {self._guard.pid} was ended by another program")
         try:
             log_file.parent.mkdir(parents=True, exist_ok=True)
             log = log_file.open("wb")
         except OSError as error:
             raise AbraceError(f"cannot write {log_file}: {error.strerror}") from error
-        with log:
-            popen = subprocess.Popen(
-                ["/bin/sh", "-c", _ANNOUNCE_AND_BECOME, name, *map(str, argv)],
-                stdin=self._to_guard,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                env=variables,
-                start_new_session=True,
-            )
-        process = self._processes[name] = NodeProcess(name, log_file, popen)
+        try:
+            with log:
+                files = [log.fileno(), log.fileno(), *self._held]
+                group = self._launcher.start(list(map(str, argv)), variables, files, self._grace, offline)
+        except OSError as error:
+            raise RunFailed(f"cannot start {name}: {error}") from error
+        process = self._processes[name] = NodeProcess(name, log_file, group)
         return process
 
     def poll(self) -> NodeProcess | None:
@@ -253,10 +247,7 @@ class ProcessGroup:
     def raise_if_died(self, may_finish: Collection[str] = ()) -> None:
         """Raise NodeDied for the first process that ended without a stop.
 
-        Parameters
-        ----------
-        may_finish
-            Names of processes that may end by themselves with exit code 0.
+        Those named in `may_finish` may end by themselves with exit code 0.
         """
         self._look()
         for process in self._ended:
@@ -283,11 +274,10 @@ class ProcessGroup:
     def stop_together(self, names: Collection[str], grace: float | None = None) -> None:
         """Stop the processes of these `names` at the same time; `grace` as in `stop`."""
         processes = [self._processes[name] for name in names]
-        orphan_guard.end([process.group for process in processes], self._grace if grace is None else grace)
+        end([process.group for process in processes], self._grace if grace is None else grace)
         for process in processes:
-            with contextlib.suppress(BrokenPipeError):
-                self._to_guard.write(f"-{process.group}\n".encode())
             process.reap()
+            self._launcher.forget(process.group)
             del self._processes[process.name]
             if process in self._ended:
                 self._ended.remove(process)

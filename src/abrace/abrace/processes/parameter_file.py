@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from abrace_core.config_file import yaml_number
-from abrace_core.errors import AbraceError
-from abrace_core.files import write_text
+from abrace_core import AbraceError
+from abrace_core.files.config_file import yaml_number
+from abrace_core.files.writing import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The results and bags of a campaign to report.html, report.md, summary.json and tables; the building in motion."""
+"""The results and bags of a campaign to report.html, summary.json and tables."""

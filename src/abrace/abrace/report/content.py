@@ -8,22 +8,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace.report.recorded import RecordedTest, checksum, rigs_of
-from abrace.report.recorded_figures import motion_figure, response_figure
+from abrace.report.recorded import RecordedTest, rigs_of
+from abrace.report.recorded_figures import response_chart
+from abrace.report.result import result_table, verdicts
 from abrace.report.sections import Listing, Part, Picture, Section, pictures
 from abrace.report.table import Table
 from abrace.report.tables import (
+    event_tables,
     identification_tables,
     interval_tables,
     margin_table,
     one_comparison,
     tables_of_all,
     timing_table,
-    trouble_tables,
 )
-from abrace_core import signals
-from abrace_core.drawing import captioned, save_figure
-from abrace_core.response import PAPER_RIG, clipped_sentences, paper_unit, peak_rms
+from abrace_core.figures.drawing import captioned
+from abrace_core.figures.saving import CHART, save_figure
+from abrace_core.files.checksum import file_checksum
+from abrace_core.model import signals
+from abrace_core.model.response import PAPER_RIG, clipped_sentences, paper_unit, peak_rms
 from abrace_plant.rig.characteristics import characterize
 from abrace_plant.rig.characteristics_figure import characteristics_figure
 
@@ -31,32 +34,23 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from matplotlib.figure import Figure
+
     from abrace.report.results import Results
     from abrace.report.units import Units
-    from abrace_core.run import Run
+    from abrace_core.figures.chart import Chart
+    from abrace_core.model.run import Run
     from abrace_plant.rig.model import Rig
 
 FIGURES = "figures"
 """Folder of the figures that the report itself makes."""
-FIRST = ("validity", "figure_*", "poles", "confidence", "residuals", "*")
+FIRST = ("validity", "figure_*", "poles", "confidence", "*")
 """Order of an identification's figures."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """A campaign's report.
-
-    Parameters
-    ----------
-    directory
-        Of the results.
-    results
-        Those that were read from there.
-    tests
-        Recorded.
-    units
-        In which numbers are shown.
-    """
+    """A campaign's report: from the results in a directory and the tests that were recorded, in some units."""
 
     directory: Path
     results: Results
@@ -66,14 +60,14 @@ class Report:
     def sections(self) -> list[Section]:
         """The whole content of the report; figures of rig and tests are drawn and saved."""
         found = [
-            Section("The rig", tuple(part for rig in rigs_of(self.tests) for part in self._rig(rig))),
-            Section("Tests", tuple(self._tests())),
-            Section("Records and spectra", tuple(self._motions())),
-            Section("What was recorded", tuple(self._responses())),
-            Section("Identification", tuple(self._identification())),
-            Section("Controllers", tuple(self._controllers())),
+            Section("Result", tuple(self._result())),
             Section("Comparisons", tuple(self._comparisons())),
-            Section("Clipped, lost, late", tuple(self._trouble())),
+            Section("Controllers", tuple(self._controllers())),
+            Section("Identification", tuple(self._identification())),
+            Section("Tests", tuple(self._tests())),
+            Section("Warnings", tuple(self._warnings())),
+            Section("What was recorded", tuple(self._responses())),
+            Section("The rig", tuple(part for rig in rigs_of(self.tests) for part in self._rig(rig))),
             Section("Timing", (timing_table(self.results.timing),)),
             Section("More figures", ()),
             Section("How to make it again", tuple(self._again())),
@@ -83,6 +77,11 @@ class Report:
         rest = [one for one in pictures(self.directory) if one.path not in shown and own not in one.path.parents]
         found = [Section(one.title, tuple(rest)) if one.title == "More figures" else one for one in found]
         return [section for section in found if section.parts]
+
+    def _result(self) -> Iterator[Part]:
+        yield from verdicts(self.results)
+        if found := result_table(self.results, self.units):
+            yield found
 
     def _rig(self, rig: Rig) -> Iterator[Part]:
         characteristics = characterize(rig)
@@ -116,19 +115,12 @@ class Report:
         found[signals.GROUND] = float(np.abs(run.ground_acceleration).max())
         cells = (self.units.cell(name, paper_unit(name)[0] * found[name] if name in found else None) for name in names)
         duration = len(run.sequence) * run.sample_period
-        return (test.step, test.drive, str(test.facts.get("controller") or "-"), f"{duration:g}", *cells)
-
-    def _motions(self) -> Iterator[Part]:
-        drawn = []
-        for test in self.tests:
-            if test.run is not None and test.motion and test.motion not in drawn:
-                drawn.append(test.motion)
-                yield self._saved(f"{test.step}_motion", motion_figure(test, test.run, self.units))
+        return (test.step, test.drive(self.units), str(test.facts.get("controller") or "-"), f"{duration:g}", *cells)
 
     def _responses(self) -> Iterator[Part]:
         for test in self.tests:
             if test.run is not None:
-                yield self._saved(test.step, response_figure(test, test.run, self.units))
+                yield self._saved(test.step, response_chart(test, test.run, self.units))
 
     def _identification(self) -> Iterator[Part]:
         yield from identification_tables(self.results)
@@ -148,8 +140,8 @@ class Report:
             yield from one_comparison(comparison, self.units)
             yield from pictures(self.directory / step)
 
-    def _trouble(self) -> Iterator[Part]:
-        yield from trouble_tables(self.results)
+    def _warnings(self) -> Iterator[Part]:
+        yield from event_tables(self.results)
         rows = [
             (
                 test.step,
@@ -182,19 +174,19 @@ class Report:
             yield Listing("\n".join(commands))
         files = [*self.directory.glob("*/*.json"), *self.directory.glob("*/*.yaml"), self.directory / "poles.json"]
         results = [path for path in sorted(files) if path.parent.name != "nodes" and path.exists()]
-        results = [path for path in results if not path.name.endswith(".plotly.json")]
-        rows = [(str(test.bag), checksum(test.bag)) for test in self.tests if test.run is not None]
-        rows += [(path.relative_to(self.directory).as_posix(), checksum(path)) for path in results]
+        results = [path for path in results if not path.name.endswith(CHART)]
+        rows = [(str(test.bag), file_checksum(test.bag)) for test in self.tests if test.run is not None]
+        rows += [(path.relative_to(self.directory).as_posix(), file_checksum(path)) for path in results]
         yield Table("Checksums", ("bag or file", "SHA-256"), tuple(rows), (BAG_CHECKSUM,))
         if origin is not None:
             yield Table("Versions", ("", "version"), tuple(origin.versions.items()))
             yield f"The campaign file {origin.campaign_file.path} (SHA-256 {origin.campaign_file.sha256}):"
             yield Listing(origin.campaign_file.text.rstrip())
 
-    def _saved(self, name: str, figure: object) -> Picture:
-        path = self.directory / FIGURES / f"{name}.png"
-        save_figure(figure, path)  # type: ignore[arg-type]
-        return Picture(path)
+    def _saved(self, name: str, figure: Figure | Chart) -> Picture:
+        path = self.directory / FIGURES / f"{name}.svg"
+        save_figure(figure, path)
+        return Picture.of(path)
 
 
 OFFLINE = (
@@ -204,7 +196,7 @@ OFFLINE = (
     ("abrace_sysid", "ambient"),
 )
 """Nodes of the steps between the tests."""
-BAG_CHECKSUM = "Of a bag: the SHA-256 of those of its files, in order of their names."
+BAG_CHECKSUM = "Of a bag: the SHA-256 of its files' names and checksums, as in steps.json."
 
 
 def _rig_rows(rig: Rig) -> Iterator[tuple[str, str]]:

@@ -43,7 +43,7 @@ class NodeReport:
     lost
         Samples or messages that it has missed; None: it counts none.
     sequence
-        Of its last sample; -1: it counts none.
+        Number of its last sample; -1: it counts none.
     stopped
         "pressed by ..." where a stop button is; else empty.
     count
@@ -95,15 +95,7 @@ class NodeReports(dict[str, NodeReport]):
     """What each node has reported last, by its name; of more than MOST_NODES those heard last."""
 
     def note(self, status: Any, now: float) -> None:
-        """Note a status of `/diagnostics`, if it is the state of a node.
-
-        Parameters
-        ----------
-        status
-            A `diagnostic_msgs.msg.DiagnosticStatus`.
-        now
-            When it came [s].
-        """
+        """Note a `status` (DiagnosticStatus) that came at the time `now` [s], if it is the state of a node."""
         name, _, what = status.name.partition(":")
         if what.strip() == "state":
             values = {pair.key: pair.value for pair in status.values}

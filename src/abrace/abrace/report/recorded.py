@@ -3,40 +3,27 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
-from abrace_bags import read_runs
-from abrace_core.errors import AbraceError
+from abrace_bags import Bag
+from abrace_core import AbraceError
+from abrace_core.files.reading import read_yaml
 from abrace_plant.rig.file import recorded_rig
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from abrace_core.run import Run
+    from abrace.report.units import Units
+    from abrace_core.model.run import Run
     from abrace_plant.rig.model import Rig
 
 
 @dataclass(frozen=True)
 class RecordedTest:
-    """A test of a campaign.
-
-    Parameters
-    ----------
-    step
-        Its name.
-    bag
-        Where it was recorded.
-    run
-        What the bag has; None: it cannot be read.
-    missing
-        Why the run is None.
-    """
+    """A test of a campaign: its step, and what its bag has; None: it cannot be read, and why."""
 
     step: str
     bag: Path
@@ -45,7 +32,7 @@ class RecordedTest:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Of the bag."""
+        """The facts of the bag."""
         return self.run.facts if self.run else {}
 
     @property
@@ -65,19 +52,12 @@ class RecordedTest:
         """The braces' excitation, likewise."""
         return _given(self.facts, "excitation")
 
-    @property
-    def drive(self) -> str:
-        """What drove the test, for a table.
-
-        A record with its peak, noise with its rms and band.
-        """
+    def drive(self, units: Units) -> str:
+        """What drove the test: a record with its peak in these `units`, noise with its rms and band."""
         parts = []
         if self.motion:
-            peak = self.motion.get("peak_acceleration")
-            parts.append(
-                str(self.motion.get("record", ""))
-                + (f" at {peak / 9.80665:.3g} g" if peak else _noise(self.motion, "m/s²"))
-            )
+            motion = units.motion(str(self.motion.get("record", "")), self.motion.get("peak_acceleration"))
+            parts.append(motion + _noise(self.motion, "m/s²"))
         if self.excitation:
             parts.append(f"commands: {self.excitation.get('signal', 'white_noise')}{_noise(self.excitation, 'N')}")
         return ", ".join(parts) or "none"
@@ -113,8 +93,7 @@ def last_bag(directory: Path, steps: Iterable[str]) -> Path | None:
 
 def _bag(directory: Path, parameters: Path) -> Path:
     """The bag that a logger of these parameters wrote."""
-    content = yaml.safe_load(parameters.read_text(encoding="utf-8"))
-    bag = Path(content["/**"]["ros__parameters"]["output"])
+    bag = Path(read_yaml(parameters, "parameter")["/**"]["ros__parameters"]["output"])
     if not bag.is_absolute() and not bag.exists():
         # the report is made in another folder than the campaign: results/NAME and bags have the same parent
         bag = directory.resolve().parent.parent / bag
@@ -124,21 +103,12 @@ def _bag(directory: Path, parameters: Path) -> Path:
 def _test(directory: Path, step: str, parameters: Path) -> RecordedTest:
     bag = _bag(directory, parameters)
     try:
-        return RecordedTest(step, bag, read_runs(bag)[0])
+        return RecordedTest(step, bag, Bag(bag).tests()[0])
     except AbraceError as error:
         return RecordedTest(step, bag, None, str(error))
 
 
 def rigs_of(tests: list[RecordedTest]) -> list[Rig]:
     """The rigs of the `tests`, each once, as their files in the bags have them."""
-    facts = {(test.facts.get("rig_file"), test.facts.get("frame_file")): test.facts for test in tests}
+    facts = {test.facts.get("rig_file"): test.facts for test in tests}
     return [rig for each in facts.values() if (rig := recorded_rig(each)) is not None]
-
-
-def checksum(path: Path) -> str:
-    """SHA-256 of a file, or of the files of a bag in order of their names."""
-    digest = hashlib.sha256()
-    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
-        with file.open("rb") as content:
-            digest.update(hashlib.file_digest(content, "sha256").digest())
-    return digest.hexdigest()

@@ -1,45 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sections of a report: paragraphs, tables and figures, before they become Markdown or a page."""
+"""The sections of a report: paragraphs, tables and figures, before they become a page."""
 
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
+from html import unescape
 from typing import TYPE_CHECKING, Any
 
 from abrace.report.table import Table
-from abrace_core.drawing import ZOOMABLE
+from abrace_core.figures.saving import CHART
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-SHOWN = (".png", ".svg")
-"""Suffixes of files that are figures, the first that there is of a name is linked."""
+CAPTION = re.compile(r"<dc:description>(.*?)</dc:description>", re.DOTALL)
+"""The caption of a figure, in its SVG file."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure in a file below the directory of the results.
-
-    Parameters
-    ----------
-    path
-        Of the PNG or SVG file.
-    """
+    """A figure in an SVG file, its caption, and of a chart its data and layout."""
 
     path: Path
+    caption: str
+    plotly: dict[str, Any] | None = None
+
+    @staticmethod
+    def of(path: Path) -> Picture:
+        """The figure in a file, with its caption and chart."""
+        chart = path.with_suffix(CHART)
+        if chart.exists():
+            return Picture(path, **json.loads(chart.read_text(encoding="utf-8")))
+        found = CAPTION.search(path.read_text(encoding="utf-8"))
+        return Picture(path, unescape(found[1]) if found else "")
 
     @property
     def title(self) -> str:
         """The file's name in words."""
         return self.path.stem.replace("_", " ")
-
-    @property
-    def content(self) -> dict[str, Any]:
-        """Caption and Plotly figure, where it was saved with them."""
-        path = self.path.with_suffix(ZOOMABLE)
-        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
 @dataclass(frozen=True)
@@ -62,29 +63,5 @@ class Section:
 
 def pictures(folder: Path, names: Sequence[str] = ("*",)) -> list[Picture]:
     """Figures in a `folder` and below, those whose name fits an earlier pattern of `names` first."""
-    found: dict[Path, Picture] = {}
-    for pattern in names:
-        for suffix in SHOWN:
-            for path in sorted(folder.rglob(f"{pattern}{suffix}")):
-                found.setdefault(path.with_suffix(""), Picture(path))
-    return list(found.values())
-
-
-def markdown(title: str, sections: Sequence[Section], directory: Path) -> str:
-    """The `sections` below a `title` as Markdown; figures are linked from the `directory` of the results."""
-
-    def text(part: Part) -> str:
-        if isinstance(part, Table):
-            return part.markdown().replace("## ", "### ", 1)
-        if isinstance(part, Listing):
-            return "\n".join(f"    {line}".rstrip() for line in part.text.splitlines())
-        if isinstance(part, Picture):
-            link = part.path.relative_to(directory).as_posix().replace(" ", "%20")
-            caption = part.content.get("caption", "")
-            return f"![{part.title}]({link})" + (f"\n\n*{caption}*" if caption else "")
-        return part
-
-    blocks = [f"# {title}"]
-    for section in sections:
-        blocks += [f"## {section.title}", *map(text, section.parts)]
-    return "\n\n".join(blocks) + "\n"
+    paths = [path for pattern in names for path in sorted(folder.rglob(f"{pattern}.svg"))]
+    return [Picture.of(path) for path in dict.fromkeys(paths)]

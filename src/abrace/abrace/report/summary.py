@@ -5,50 +5,48 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from abrace.report.happenings import happenings
-from abrace_core.response import TABLE_1_EXPERIMENT, PeakRms, mean_relative_error, shown_unit
+from abrace.report.events import events
+from abrace_core.model.modes import nearest_mode
+from abrace_core.model.response import TABLE_1_EXPERIMENT, PeakRms, mean_relative_error, shown_unit
+from abrace_core.model.verdict import nan_last
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    import pydantic
-
-    from abrace.report.results import AllPoles, Cells, Comparison, Pole, Poles, Results, Timing
+    from abrace.report.results import AllPoles, Cells, ComparedTest, Poles, Results, Timing
     from abrace.report.units import Units
-
-SAME_POLE = 0.05
-"""Relative difference in frequency within which two poles count as the same."""
+    from abrace_sysid.fitting.pole_estimate import PoleInterval
 
 
 def summarise(results: Results, units: Units) -> dict[str, Any]:
     """The content of summary.json from the `results` of a campaign, in these `units`."""
-    summary: dict[str, Any] = {"timing": timing_summary(results.timing), "happened": happenings(results.timing)}
+    summary: dict[str, Any] = {"timing": timing_summary(results.timing), "happened": events(results.timing)}
     if results.timing.failed is not None:
         summary["failed"] = results.timing.failed.model_dump()
     if results.poles is not None:
         summary["poles"] = {
-            test: poles.model_dump()
+            test: poles.model_dump(by_alias=True)
             | {
                 "largest_relative_error": {
                     "frequency": _largest_error(poles, "frequency"),
-                    "damping_ratio": _largest_error(poles, "damping_ratio"),
+                    "damping_ratio": _largest_error(poles, "damping"),
                 }
             }
             for test, poles in poles_by_test(results.poles)
         }
     if results.validity:
         summary["validity"] = {
-            step: {"verdict": one.verdict, "causes": list(one.causes)} for step, one in results.validity.items()
+            step: {"verdict": one.verdict.words, "causes": list(one.causes)} for step, one in results.validity.items()
         }
     if results.ambient:
-        summary["ambient"] = _dumped(results.ambient)
+        summary["ambient"] = {step: one.model_dump() for step, one in results.ambient.items()}
     if results.main is not None:
         summary |= _comparison(results.main, units)
         summary["comparisons"] = {step: _comparison(one, units) for step, one in results.comparisons.items()}
     return summary
 
 
-def _comparison(comparison: Comparison, units: Units) -> dict[str, Any]:
+def _comparison(comparison: ComparedTest, units: Units) -> dict[str, Any]:
     return {
         "test": comparison.test.model_dump(),
         "units": {name: shown_unit(name, units.system)[1] for name in comparison.measured},
@@ -60,14 +58,8 @@ def _comparison(comparison: Comparison, units: Units) -> dict[str, Any]:
         },
         "uncontrolled": units.numbers(comparison.uncontrolled) if comparison.uncontrolled else None,
         "clipped": comparison.clipped,
-        "simulated_vs_measured": _dumped(comparison.simulated_vs_measured),
-        "peak_rms_error": comparison.peak_rms_error,
-        "other_models": _dumped(comparison.other_models),
+        **comparison.model_dump(include={"simulated_vs_measured", "peak_rms_error", "other_models"}),
     }
-
-
-def _dumped(rows: Mapping[str, pydantic.BaseModel]) -> dict[str, Any]:
-    return {name: row.model_dump() for name, row in rows.items()}
 
 
 def poles_by_test(poles: AllPoles) -> tuple[tuple[str, Poles], tuple[str, Poles]]:
@@ -75,11 +67,14 @@ def poles_by_test(poles: AllPoles) -> tuple[tuple[str, Poles], tuple[str, Poles]
     return ("table", poles.table), ("command", poles.command)
 
 
-def error_vs_paper(comparison: Comparison, rows: Mapping[str, Cells] | None) -> float | None:
-    """Mean relative error of the `rows` of a `comparison` to Table 1's experiment; None where it is of another test."""
+def error_vs_paper(comparison: ComparedTest, rows: Mapping[str, Cells] | None) -> float | None:
+    """Mean relative error of `rows` of a `comparison` to Table 1's experiment; None: of another test, or some lack."""
     if not comparison.is_the_papers or rows is None:
         return None
-    return mean_relative_error({name: PeakRms(row.peak, row.rms) for name, row in rows.items()}, TABLE_1_EXPERIMENT)
+    known = {
+        name: PeakRms(row.peak, row.rms) for name, row in rows.items() if row.peak is not None and row.rms is not None
+    }
+    return mean_relative_error(known, TABLE_1_EXPERIMENT) if set(TABLE_1_EXPERIMENT) <= set(known) else None
 
 
 def timing_summary(timing: Timing) -> dict[str, Any]:
@@ -102,30 +97,14 @@ def timing_summary(timing: Timing) -> dict[str, Any]:
     }
 
 
-def nearest_pole(poles: Sequence[Pole], frequency: float) -> Pole | None:
+def nearest_pole(poles: Sequence[PoleInterval], frequency: float) -> PoleInterval | None:
     """The one of `poles` that is nearest to a `frequency` [rad/s]; None where none is near enough to be the same."""
-    nearest = min(poles, key=lambda pole: abs(pole.frequency - frequency), default=None)
-    return nearest if nearest and abs(nearest.frequency - frequency) <= SAME_POLE * frequency else None
+    nearest = nearest_mode([pole.frequency for pole in poles], frequency)
+    return None if nearest is None else poles[nearest]
 
 
 def _largest_error(poles: Poles, key: str) -> float | None:
     """Largest relative error of the identified poles against the true ones; None if a true pole was not identified."""
     pairs = [(nearest_pole(poles.identified, true.frequency), true) for true in poles.true]
     errors = [abs(getattr(found, key) / getattr(true, key) - 1) for found, true in pairs if found is not None]
-    return max(errors) if errors and len(errors) == len(pairs) else None
-
-
-def worst_peak_rms_error(comparison: Comparison) -> float:
-    """Greatest relative error of a simulated peak or rms value, of the channels that move.
-
-    Parameters
-    ----------
-    comparison
-        Of a validate step, with a model.
-    """
-    simulated = comparison.simulated or {}
-    return max(
-        abs(getattr(simulated[name], key) / getattr(comparison.measured[name], key) - 1)
-        for name in comparison.simulated_vs_measured
-        for key in ("peak", "rms")
-    )
+    return max(errors, key=nan_last) if errors and len(errors) == len(pairs) else None

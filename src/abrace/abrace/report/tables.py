@@ -4,29 +4,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
-from abrace.report.happenings import happenings_table
-from abrace.report.results import (
-    AmbientMode,
-    AmbientResult,
-    Cells,
-    Comparison,
-    Facts,
-    Pole,
-    PoleInterval,
-    PoleIntervals,
-    Poles,
-    ProofResult,
-    Results,
-    Timing,
-    ValidityFinding,
-    ValidityResult,
-    VerdictWords,
-)
-from abrace.report.summary import error_vs_paper, nearest_pole, poles_by_test, timing_summary, worst_peak_rms_error
-from abrace.report.table import Table
-from abrace_core.response import (
+from abrace.report.events import events_table
+from abrace.report.summary import error_vs_paper, nearest_pole, poles_by_test, timing_summary
+from abrace.report.table import Table, number, reduction
+from abrace_core.model.response import (
     PAPER_RIG,
     TABLE_1_EXPERIMENT,
     TABLE_1_SIMULATION,
@@ -35,15 +18,17 @@ from abrace_core.response import (
     mean_relative_error,
 )
 from abrace_plant.rig.published import PAPER_POLES
-from abrace_sysid.fitting.pole_estimate import NORMAL_95
+from abrace_sysid.fitting.pole_estimate import NORMAL_95, TESTS, PoleInterval
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from abrace.report.results import AmbientResult, Cells, ComparedTest, Poles, Results, Timing
     from abrace.report.units import Units
+    from abrace_lqg.proof.checks import Proof
+    from abrace_sysid.validity.finding import Validity
 
 PAPER_ERROR = mean_relative_error(TABLE_1_SIMULATION, TABLE_1_EXPERIMENT)
-VERDICTS = get_args(VerdictWords)
 FITTED = "LQG3's five weights were fitted to these 18 cells; the models identified below were not fitted to the paper"
 
 
@@ -55,7 +40,7 @@ def tables(results: Results, units: Units) -> list[Table]:
     return [
         *identification_tables(results),
         *comparison_tables(results, units),
-        *trouble_tables(results),
+        *event_tables(results),
         timing_table(results.timing),
     ]
 
@@ -81,7 +66,7 @@ def comparison_tables(results: Results, units: Units) -> list[Table]:
     return [*found, *tables_of_all(results, units)]
 
 
-def one_comparison(comparison: Comparison, units: Units) -> list[Table]:
+def one_comparison(comparison: ComparedTest, units: Units) -> list[Table]:
     """Peaks and rms of a `comparison`, reductions, and agreement with models, in these `units`."""
     found = [_table_1(comparison, units)]
     if comparison.uncontrolled is not None:
@@ -93,97 +78,88 @@ def one_comparison(comparison: Comparison, units: Units) -> list[Table]:
 
 def tables_of_all(results: Results, units: Units) -> list[Table]:
     """Comparisons of the `results` side by side, where there are several, in these `units`."""
-    found: list[Table] = []
-    if len(results.comparisons) > 1:
-        found += _controller_tables(results.comparisons, units)
-    predicted = {step: one for step, one in results.comparisons.items() if one.simulated_vs_measured}
-    if len(predicted) > 1:
-        found.append(_all_agreements_table(predicted))
-    return found
+    return _controller_tables(results.comparisons, units)
 
 
-def trouble_tables(results: Results) -> list[Table]:
+def event_tables(results: Results) -> list[Table]:
     """Which tests of the `results` have readings at the end of a sensor's range, and what else happened, if any."""
-    clipped, happened = _clipped_rows(results.comparisons), happenings_table(results.timing)
+    clipped, events = _clipped_rows(results.comparisons), events_table(results.timing)
     found = [Table("At the end of a sensor's range", ("test", ""), clipped)] if clipped else []
-    return [*found, happened] if happened else found
+    return [*found, events] if events else found
 
 
-def margin_table(proofs: Mapping[str, ProofResult]) -> Table:
+def margin_table(proofs: Mapping[str, Proof]) -> Table:
     """Margins of every controller that was designed: the least of all models, from their `proofs`."""
 
-    def row(name: str, proof: ProofResult) -> tuple[str, ...]:
+    def row(name: str, proof: Proof) -> tuple[str, ...]:
         margins = proof.margins
         return (
             name,
-            _number(margins.gain, ".1f"),
-            _number(margins.phase, ".1f"),
-            _number(margins.delay and 1e3 * margins.delay, ".1f"),
-            _number(margins.sensitivity_peak, ".2f"),
-            _number(proof.least_damping_kept and 100 * proof.least_damping_kept, ".0f"),
-            "yes" if all(one.stable for one in proof.models) else "NO",
+            number(margins.gain_db, ".1f"),
+            number(margins.phase_deg, ".1f"),
+            number(1e3 * margins.delay, ".1f"),
+            number(margins.sensitivity_peak, ".2f"),
+            number(100 * proof.least_damping_kept, ".0f"),
+            "yes" if proof.models and all(one.stable for one in proof.models) else "NO",
             ", ".join(proof.accepted) or "-",
         )
 
     columns = ("gain margin [dB]", "phase margin [deg]", "delay margin [ms]", "sensitivity peak", "damping kept %")
     header = ("controller", *columns, "stable", "accepted")
-    notes = tuple(f"{name}: {proof.summary}" for name, proof in proofs.items())
+    notes = tuple(f"{name}: {proof.summary()}" for name, proof in proofs.items())
     return Table("Margins", header, tuple(row(name, proof) for name, proof in proofs.items()), notes)
 
 
-def _validity_table(step: str, validity: ValidityResult) -> Table:
+def _validity_table(step: str, validity: Validity) -> Table:
     """The verdict, each check's worst finding, and what to do."""
-    worst: dict[str, ValidityFinding] = {}
-    for finding in validity.findings:
-        before = worst.get(finding.check)
-        rank = VERDICTS.index(finding.verdict), finding.value
-        if before is None or rank > (VERDICTS.index(before.verdict), before.value):
-            worst[finding.check] = finding
-    rows = tuple((one.check, f"{one.value:.2g}", f"{one.limit:.2g}", one.verdict, one.where) for one in worst.values())
+    rows = tuple(
+        (one.check, number(one.value, ".2g"), f"{one.limit:.2g}", one.verdict.words, one.where)
+        for one in validity.worst
+    )
     causes = f": {', '.join(validity.causes)}" if validity.causes else ""
-    reasons = [finding for finding in validity.findings if finding.cause is not None]
+    reasons = [finding for finding in validity.findings if finding.cause]
     notes = dict.fromkeys([*(one.meaning for one in reasons), *(one.advice for one in reasons if one.advice)])
-    title = f"Validity of {step}: {validity.verdict}{causes}"
+    title = f"Validity of {step}: {validity.verdict.words}{causes}"
     return Table(title, ("check", "found", "limit", "verdict", "where"), rows, tuple(notes))
 
 
-def _interval_table(step: str, intervals: PoleIntervals) -> Table:
+def _interval_table(step: str, intervals: Mapping[str, Sequence[PoleInterval]]) -> Table:
     """Pairs of the table test, the command test and both tests, each with its 95 % interval."""
 
-    def cells(pair: PoleInterval) -> tuple[str, str]:
-        def text(value: float, deviation: float | None, digits: int) -> str:
-            if deviation is None:
-                return f"{value:.4g}"
-            digits = max(digits, 1 - math.floor(math.log10(deviation))) if deviation > 0 else digits
-            return f"{value:.{digits}f} ± {NORMAL_95 * deviation:.{digits}f}"
+    def text(value: float, deviation: float) -> str:
+        if not math.isfinite(deviation):
+            return f"{value:.4g}"
+        digits = max(3, 1 - math.floor(math.log10(deviation))) if deviation > 0 else 3
+        return f"{value:.{digits}f} ± {NORMAL_95 * deviation:.{digits}f}"
 
-        damping = pair.damping_ratio_deviation
-        return (
-            text(pair.frequency, pair.frequency_deviation, 3),
-            text(100 * pair.damping_ratio, None if damping is None else 100 * damping, 3),
+    rows = [
+        (
+            f"{TESTS.get(test, test)} {i}",
+            text(pair.frequency, pair.frequency_deviation),
+            text(100 * pair.damping, 100 * pair.damping_deviation),
         )
-
-    tests = {"table test": intervals.table, "command test": intervals.command, "both tests": intervals.common}
-    rows = [(f"{name} {i}", *cells(pair)) for name, pairs in tests.items() for i, pair in enumerate(pairs, 1)]
+        for test, pairs in intervals.items()
+        for i, pair in enumerate(pairs, 1)
+    ]
     return Table(f"Poles with 95 % intervals: {step}", ("", "frequency [rad/s]", "damping ratio [%]"), tuple(rows))
 
 
 def _pole_table(test: str, poles: Poles, is_papers: bool) -> Table:
     """Identified poles, the plant's own and, for the paper's rig, the paper's."""
-    paper = [Pole(frequency=abs(p), damping_ratio=-p.real / abs(p)) for p in PAPER_POLES[test]] if is_papers else []
+    paper = [PoleInterval(abs(p), -p.real / abs(p)) for p in PAPER_POLES[test]] if is_papers else []
     missed = [true for true in poles.true if nearest_pole(poles.identified, true.frequency) is None]
 
-    def row(pole: Pole) -> list[str]:
+    def row(pole: PoleInterval) -> list[str]:
         found = None if pole in missed else pole
         true, papers = nearest_pole(poles.true, pole.frequency), nearest_pole(paper, pole.frequency)
 
-        def cells(quantity: Callable[[Pole], float], form: str) -> list[str]:
+        def cells(quantity: Callable[[PoleInterval], float], form: str) -> list[str]:
             error = 100 * (quantity(found) / quantity(true) - 1) if found and true else None
             compared = (found, true, papers) if is_papers else (found, true)
-            columns = [_number(quantity(p) if p else None, ".3f") for p in compared]
-            return [*columns, _number(error, form)]
+            columns = [number(quantity(p) if p else None, ".3f") for p in compared]
+            return [*columns, number(error, form)]
 
-        return cells(lambda p: p.frequency, "+.3f") + cells(lambda p: 100 * p.damping_ratio, "+.1f")
+        return cells(lambda p: p.frequency, "+.3f") + cells(lambda p: 100 * p.damping, "+.1f")
 
     matrix = {"table": "A1", "command": "A2"}[test]
     columns = ("plant's", *((f"paper's {matrix}",) if is_papers else ()), "error %")
@@ -199,10 +175,10 @@ def _ambient_table(step: str, found: AmbientResult) -> Table:
     """Modes from ambient vibration with 95 % intervals, and their changes."""
     changes = {mode.after: mode for mode in found.change.modes} if found.change else {}
 
-    def row(mode: AmbientMode) -> tuple[str, ...]:
+    def row(mode: PoleInterval) -> tuple[str, ...]:
         cells = (
             f"{mode.frequency:.4f} +- {NORMAL_95 * mode.frequency_deviation:.4f}",
-            f"{100 * mode.damping_ratio:.3f} +- {100 * NORMAL_95 * mode.damping_ratio_deviation:.3f}",
+            f"{100 * mode.damping:.3f} +- {100 * NORMAL_95 * mode.damping_deviation:.3f}",
         )
         if found.change is None:
             return cells
@@ -217,36 +193,41 @@ def _ambient_table(step: str, found: AmbientResult) -> Table:
     if found.change is not None:
         header += ("frequency, change %", "damping, change %", "by chance")
         notes = ("The building has changed." if found.change.changed else "No change beyond chance.",)
+        if not found.change.modes:
+            notes = ("No mode is in both tests: nothing can be said of the building.",)
     title = f"Modes from ambient vibration: {step}, {found.seconds:g} s of {', '.join(found.channels)}"
     return Table(title, header, tuple(row(mode) for mode in found.modes), notes)
 
 
-def _table_1(comparison: Comparison, units: Units) -> Table:
+def _table_1(comparison: ComparedTest, units: Units) -> Table:
     facts = comparison.test
     given = {"measured": comparison.measured, "simulated": comparison.simulated or {}}
-    columns: dict[str, Mapping[str, PeakRms]] = {
-        title: {name: PeakRms(row.peak, row.rms) for name, row in rows.items()} for title, rows in given.items() if rows
-    }
+    columns: dict[str, Mapping[str, PeakRms | Cells]] = {title: dict(rows) for title, rows in given.items() if rows}
     notes: tuple[str, ...] = ()
     if comparison.is_the_papers:
         columns = {"paper exp.": TABLE_1_EXPERIMENT, "paper sim.": TABLE_1_SIMULATION, **columns}
         errors = {title: error_vs_paper(comparison, rows) for title, rows in given.items() if rows}
         note = "Mean absolute relative error against the paper's experiment, 18 cells: "
-        note += ", ".join(f"{title} {error:.3f}" for title, error in errors.items())
+        note += ", ".join(f"{title} {number(error, '.3f')}" for title, error in errors.items())
         note += f", the paper's simulation {PAPER_ERROR:.3f}"
         notes = (note, FITTED)
     rows = []
     for name in comparison.measured:
         cells = [column.get(name) for column in columns.values()]
-        peaks = [units.cell(name, c and c.peak) for c in cells]
-        rows.append((units.quantity(name), *peaks, *(units.cell(name, c and c.rms) for c in cells)))
+        shown = [units.cell(name, c.peak if c else None) for c in cells]
+        rows.append((units.quantity(name), *shown, *(units.cell(name, c.rms if c else None) for c in cells)))
     header = ("", *(f"peak: {name}" if i == 0 else name for i, name in enumerate(columns)))
     header += tuple(f"rms: {name}" if i == 0 else name for i, name in enumerate(columns))
     title = "Table 1" if comparison.is_the_papers else "Peak and rms"
-    return Table(f"{title}: {facts.controller or 'zero command'}, {_motion(facts)}", header, tuple(rows), notes)
+    return Table(
+        f"{title}: {facts.controller or 'zero command'}, {units.motion(*facts.motion)}",
+        header,
+        tuple(rows),
+        notes,
+    )
 
 
-def _reduction_table(comparison: Comparison, uncontrolled: Mapping[str, Cells], units: Units) -> Table:
+def _reduction_table(comparison: ComparedTest, uncontrolled: Mapping[str, Cells], units: Units) -> Table:
     rows = []
     for name, controlled in comparison.measured.items():
         row = [units.quantity(name)]
@@ -254,41 +235,40 @@ def _reduction_table(comparison: Comparison, uncontrolled: Mapping[str, Cells], 
             (uncontrolled[name].peak, controlled.peak),
             (uncontrolled[name].rms, controlled.rms),
         ):
-            reduction = _number(100 * (1 - after / before) if before else None, ".1f")
-            row += [units.cell(name, before), units.cell(name, after), reduction]
+            row += [units.cell(name, before), units.cell(name, after), reduction(before, after)]
         rows.append(tuple(row))
     return Table(
-        f"Without and with {comparison.test.controller}: {_motion(comparison.test)}",
+        f"Without and with {comparison.test.controller}: {units.motion(*comparison.test.motion)}",
         ("", "peak: without", "with", "reduction %", "rms: without", "with", "reduction %"),
         tuple(rows),
     )
 
 
-def _agreement_table(comparison: Comparison) -> Table:
+def _agreement_table(comparison: ComparedTest) -> Table:
     header = ("", "correlation", "rms error / rms", "without sensor noise", *comparison.other_models)
     rows = []
     for channel, row in comparison.simulated_vs_measured.items():
-        others = [other.simulated_vs_measured[channel].noise_free_error for other in comparison.other_models.values()]
-        errors = (row.normalised_rms_error, row.noise_free_error, *others)
-        rows.append((channel, f"{row.correlation:.4f}", *(f"{error:.4f}" for error in errors)))
-    models = {"model": comparison.peak_rms_error or 0.0}
+        others = [other.simulated_vs_measured.get(channel) for other in comparison.other_models.values()]
+        errors = [row.normalised_rms_error, *(other.noise_free_error if other else None for other in (row, *others))]
+        rows.append((channel, f"{row.correlation:.4f}", *(number(error, ".4f") for error in errors)))
+    models = {"model": comparison.peak_rms_error}
     models |= {name: other.peak_rms_error for name, other in comparison.other_models.items()}
-    means = ", ".join(f"{name} {100 * error:.1f} %" for name, error in models.items())
+    means = ", ".join(f"{name} {_percent(error, '.1f')} %" for name, error in models.items())
     notes = [f"Mean error of peaks and rms: {means}"]
     if comparison.validity is not None:
-        notes.append(f"Validity: {comparison.validity.verdict}: {comparison.validity.meaning}")
+        notes.append(f"Validity: {comparison.validity.verdict.words}: {comparison.validity.meaning}")
     return Table("Simulated by the identified models against measured", header, tuple(rows), tuple(notes))
 
 
-def _controller_tables(comparisons: Mapping[str, Comparison], units: Units) -> list[Table]:
+def _controller_tables(comparisons: Mapping[str, ComparedTest], units: Units) -> list[Table]:
     """For each motion under which several controllers ran on a rig: measured peak and rms, and their reductions.
 
     Tests of one motion whose tests without control differ have tables of their own, whose titles name the steps.
     """
-    motions: dict[tuple[str, str], list[dict[str, Comparison]]] = {}
+    motions: dict[tuple[str, str], list[dict[str, ComparedTest]]] = {}
     for step, comparison in comparisons.items():
         if comparison.test.controller and comparison.uncontrolled is not None:
-            groups = motions.setdefault((comparison.test.rig, _motion(comparison.test)), [])
+            groups = motions.setdefault((comparison.test.rig, units.motion(*comparison.test.motion)), [])
             same = (one for one in groups if next(iter(one.values())).uncontrolled == comparison.uncontrolled)
             group = next(same, None)
             if group is None:
@@ -306,7 +286,7 @@ def _controller_tables(comparisons: Mapping[str, Comparison], units: Units) -> l
     return found
 
 
-def _controllers_beside(title: str, several: Sequence[Comparison], units: Units) -> list[Table]:
+def _controllers_beside(title: str, several: Sequence[ComparedTest], units: Units) -> list[Table]:
     """Measured peak and rms of `several` comparisons with the same test without control, and their reductions."""
     without, names = several[0].uncontrolled or {}, [one.test.controller for one in several]
     found = []
@@ -317,47 +297,14 @@ def _controllers_beside(title: str, several: Sequence[Comparison], units: Units)
             start = getattr(before, key)
             shown = (units.cell(row, cell) for cell in (start, *cells))
             measured.append((units.quantity(row), *shown))
-            less = [_number(100 * (1 - cell / start) if start else None, ".1f") for cell in cells]
-            reductions.append((row, *less))
+            reductions.append((row, *(reduction(start, cell) for cell in cells)))
         found.append(Table(f"{title}: {key}", ("", "without", *names), tuple(measured)))
         moved = tuple(row for row in reductions if row[0][0] in "xa")
         found.append(Table(f"{title}: reduction of {key}, %", ("", *names), moved))
     return found
 
 
-def _all_agreements_table(comparisons: Mapping[str, Comparison]) -> Table:
-    """Every comparison's worst figures, one row each; a dash for a model that a comparison does not have."""
-    models = list(dict.fromkeys(name for comparison in comparisons.values() for name in comparison.other_models))
-    rows = []
-    for step, comparison in comparisons.items():
-        worst = min(row.correlation for row in comparison.simulated_vs_measured.values())
-        error = max(row.noise_free_error for row in comparison.simulated_vs_measured.values())
-        others = (comparison.other_models.get(name) for name in models)
-        peaks = worst_peak_rms_error(comparison)
-        rows.append(
-            (
-                step,
-                f"{worst:.4f}",
-                *(f"{100 * x:.2f}" for x in (error, comparison.peak_rms_error or 0.0, peaks)),
-                *(_number(100 * other.peak_rms_error if other else None, ".2f") for other in others),
-            )
-        )
-    return Table(
-        "Simulated against measured, every test",
-        (
-            "",
-            "least correlation",
-            "greatest rms error %",
-            "peaks and rms: mean error %",
-            "greatest %",
-            *(f"mean, {name} %" for name in models),
-        ),
-        tuple(rows),
-        ("Rms errors without sensor noise.",),
-    )
-
-
-def _clipped_rows(comparisons: Mapping[str, Comparison]) -> tuple[tuple[str, str], ...]:
+def _clipped_rows(comparisons: Mapping[str, ComparedTest]) -> tuple[tuple[str, str], ...]:
     """The tests with readings at the end of a sensor's range, or for which this is unknown."""
     return tuple(
         (f"{step}, {which}", sentence)
@@ -379,9 +326,9 @@ def timing_table(timing: Timing) -> Table:
         return (
             name,
             f"{seconds:.1f}",
-            _number(speed, ".0f"),
-            _number(speed and speed / timing.sample_rate, ".2f"),
-            *(_number(count, "d") for count in counts),
+            number(speed, ".0f"),
+            number(speed and speed / timing.sample_rate, ".2f"),
+            *(number(count, "d") for count in counts),
         )
 
     return Table(
@@ -394,9 +341,5 @@ def timing_table(timing: Timing) -> Table:
     )
 
 
-def _motion(facts: Facts) -> str:
-    return facts.record + (f" at {facts.peak_acceleration / 9.80665:.3g} g" if facts.peak_acceleration else "")
-
-
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
+def _percent(value: float | None, form: str) -> str:
+    return number(None if value is None else 100 * value, form)

@@ -6,7 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from abrace_core.response import UnitSystem, paper_unit, shown_unit
+from abrace_core.model import signals
+from abrace_core.model.response import UnitSystem, paper_unit, shown_unit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,13 +27,28 @@ class Units:
         """From the paper's unit of the signal `name` to the one that is shown."""
         return shown_unit(name, self.system)[0] / paper_unit(name)[0]
 
+    def unit(self, name: str) -> str:
+        """The unit of the signal `name`."""
+        return shown_unit(name, self.system)[1]
+
+    def motion(self, record: str, peak: float | None) -> str:
+        """A `record` with its `peak` acceleration [m/s^2], of which 0 or None is as recorded.
+
+        >>> Units("paper").motion("el_centro", 0.980665), Units("SI").motion("kobe", 0)
+        ('el_centro at 0.1 g', 'kobe')
+        """
+        if not peak:
+            return record
+        factor, unit = shown_unit(signals.GROUND, self.system)
+        return f"{record} at {factor * peak:.3g} {unit}"
+
     def quantity(self, name: str) -> str:
         """The signal `name` with its unit.
 
         >>> Units("paper").quantity("x1"), Units("SI").quantity("f")
         ('x1 [cm]', 'f [kN]')
         """
-        return f"{name} [{shown_unit(name, self.system)[1]}]"
+        return f"{name} [{self.unit(name)}]"
 
     def cell(self, name: str, value: float | None) -> str:
         """A `value` of the signal `name` [cm, g or kgf] as a cell of a table; None: a dash.
@@ -42,11 +58,11 @@ class Units:
         """
         if value is None:
             return "-"
-        return format(value * self.factor(name), FORMATS[shown_unit(name, self.system)[1]])
+        return format(value * self.factor(name), FORMATS[self.unit(name)])
 
-    def numbers(self, rows: Mapping[str, Cells]) -> dict[str, dict[str, float]]:
-        """Peak and rms of the `rows`, as numbers."""
+    def numbers(self, rows: Mapping[str, Cells]) -> dict[str, dict[str, float | None]]:
+        """Peak and rms of the `rows`, as numbers; None where they are not known."""
         return {
-            name: {"peak": row.peak * self.factor(name), "rms": row.rms * self.factor(name)}
+            name: {key: None if value is None else value * self.factor(name) for key, value in row}
             for name, row in rows.items()
         }

@@ -3,21 +3,23 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-import struct
 import zlib
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
 from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
 
-from abrace_bags.mcap.records import LARGEST_CHUNK, RECORD_HEAD, DamagedError
+from abrace_bags.mcap.records import LARGEST_CHUNK, RECORD_HEAD, DamagedError, parse
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Iterator
 
     from mcap.records import Chunk
     from numpy.typing import NDArray
@@ -26,12 +28,13 @@ if TYPE_CHECKING:
 
 _CHUNK_HEAD = re.compile(rb"\x06(.{5}\0{3}).{28}(\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4})(.{8})", re.DOTALL)
 """What a chunk's record begins with: opcode, length, times, size, checksum, name of the compression, packed bytes."""
-_CHUNK_OPCODE = b"\x06"
 _HEAD_SIZE = 64
 """Bytes that hold it."""
 _SEARCH_SIZE = 1 << 22
 """Bytes that are searched for a chunk at a time."""
 
+_PATTERN = 12
+"""Records in a row after which more of the same lengths in the same order are expected."""
 MESSAGE_HEAD_SIZE = 31
 """Bytes of a message record before the message: opcode, length, channel, sequence, log time, publish time."""
 LOG_TIME, PUBLISH_TIME = 15, 23
@@ -53,17 +56,13 @@ def find_chunk(file: BinaryIO, begin: int, size: int) -> int | None:
     while begin < size:
         file.seek(begin)
         searched = file.read(_SEARCH_SIZE)
-        position = -1
-        while (position := searched.find(_CHUNK_OPCODE, position + 1)) >= 0:
-            match = _CHUNK_HEAD.match(searched, position)
-            if match is None:
-                continue
-            offset = begin + position
+        position = 0
+        while match := _CHUNK_HEAD.search(searched, position):
             length, packed_size = (int.from_bytes(match[group], "little") for group in (1, 3))
+            offset, position = begin + match.start(), match.start() + 1
             if 36 + len(match[2]) + packed_size == length <= size - offset - RECORD_HEAD.size:
                 return offset
-        last = begin + len(searched) >= size
-        begin += len(searched) if last else len(searched) - _HEAD_SIZE
+        begin += len(searched) if begin + len(searched) >= size else len(searched) - _HEAD_SIZE
     return None
 
 
@@ -75,24 +74,11 @@ def unpack(chunk: Chunk) -> bytes:
     DamagedError
         If it does not unpack, or does not match its checksum.
     """
+    records = _unpacked(chunk, whole=True)
     size = chunk.uncompressed_size
-    if size > LARGEST_CHUNK:
-        raise DamagedError(f"does not unpack: has {size} bytes, expected at most {LARGEST_CHUNK}")
-    try:
-        if chunk.compression == "zstd":
-            frame_size = zstandard.frame_content_size(chunk.data)
-            if frame_size not in (-1, size):
-                raise DamagedError(f"does not unpack: is {frame_size} bytes, expected {size}")
-            records = zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=size)
-        elif chunk.compression == "lz4":
-            records = bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1))
-        elif chunk.compression == "":
-            records = chunk.data
-        else:
-            raise DamagedError(f"does not unpack: compression {chunk.compression!r}, expected zstd, lz4 or none")
-    except (zstandard.ZstdError, RuntimeError, MemoryError, OverflowError) as error:
-        raise DamagedError(f"does not unpack: {error}") from error
-    if len(records) != size or (chunk.uncompressed_crc and zlib.crc32(records) != chunk.uncompressed_crc):
+    if len(records) != size:
+        raise DamagedError(f"does not unpack: expected {size} bytes, found {'more' if len(records) > size else 'less'}")
+    if chunk.uncompressed_crc and zlib.crc32(records) != chunk.uncompressed_crc:
         raise DamagedError("does not match its checksum")
     return records
 
@@ -103,17 +89,7 @@ def unpack_beginning(chunk: Chunk) -> bytes:
     Compressed data comes in blocks of up to 128 KiB, and of a block that is cut off comes nothing. After a power loss
     a file may end in zeros that were never written: a record that ends in them is not known to be whole.
     """
-    records = b""
-    size = min(chunk.uncompressed_size, LARGEST_CHUNK)
-    try:
-        if chunk.compression == "zstd":
-            records = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(size)
-        elif chunk.compression == "lz4":
-            records = bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size))
-        elif chunk.compression == "":
-            records = chunk.data
-    except (zstandard.ZstdError, RuntimeError, MemoryError):
-        return b""
+    records = _unpacked(chunk, whole=False)
     written = len(records.rstrip(b"\0"))
     end = 0
     while end + RECORD_HEAD.size <= written:
@@ -124,44 +100,84 @@ def unpack_beginning(chunk: Chunk) -> bytes:
     return records[:end]
 
 
-def record_offsets(records: bytes, message_offsets: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """Where the records of a chunk begin.
+def _unpacked(chunk: Chunk, whole: bool) -> bytes:
+    """What a chunk unpacks to: all of it, or if it is not `whole` the beginning. It may be packed in several frames."""
+    size, data = chunk.uncompressed_size, chunk.data
+    if size > LARGEST_CHUNK:
+        raise DamagedError(f"does not unpack: has {size} bytes, expected at most {LARGEST_CHUNK}")
+    try:
+        if chunk.compression == "":
+            return data
+        if chunk.compression == "zstd":
+            if whole and zstandard.frame_content_size(data) == size:
+                return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+            reader = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True)
+            return b"".join(itertools.takewhile(bool, (reader.read(1 << 20) for _ in range(0, size + 1, 1 << 20))))
+        if chunk.compression == "lz4":
+            records = b""
+            while data:
+                frame = lz4.frame.LZ4FrameDecompressor()
+                records += frame.decompress(data, size + 1 - len(records))
+                data = frame.unused_data
+            return records
+    except (zstandard.ZstdError, RuntimeError, MemoryError, OverflowError) as error:
+        raise DamagedError(f"does not unpack: {error}") from error
+    raise DamagedError(f"does not unpack: compression {chunk.compression!r}, expected zstd, lz4 or none")
 
-    Parameters
-    ----------
-    records
-        The chunk, unpacked.
-    message_offsets
-        Of its message indexes. Used where each record then ends where the next one begins; otherwise all records are
-        walked through, about 0.2 microseconds each.
 
-    Returns
-    -------
-    ndarray
-        (records,) in order.
+def record_offsets(records: bytes) -> NDArray[np.int64]:
+    """(records,) where the `records` of a chunk begin, in order.
 
     Raises
     ------
     DamagedError
-        If the records do not fill the chunk.
+        If they do not fill the chunk.
     """
-    end = len(records)
-    if message_offsets:
-        offsets = np.concatenate(message_offsets)
-        offsets.sort()
-        if offsets.size and offsets[0] == 0 and 0 <= offsets[-1] <= end - RECORD_HEAD.size:
-            lengths = np.ndarray((end - RECORD_HEAD.size + 1,), "<u8", records, 1, (1,))[offsets].astype(np.int64)
-            if np.array_equal(offsets + RECORD_HEAD.size + lengths, np.append(offsets[1:], end)):
-                return offsets
-    walked = []
-    offset = 0
-    length_at = struct.Struct("<Q").unpack_from
+    parts = [np.empty(0, np.int64)]
+    offset, end, some = 0, len(records), _PATTERN
+    size, unpack = RECORD_HEAD.size, RECORD_HEAD.unpack_from
     while offset < end - 8:
-        walked.append(offset)
-        offset += 9 + length_at(records, offset + 1)[0]
-    if offset != end:
+        walked = []
+        for _ in range(some):
+            if not records[offset]:
+                raise DamagedError("is a chunk whose records don't fill it")
+            walked.append(offset)
+            offset += size + unpack(records, offset)[1]
+            if offset >= end - 8:
+                break
+        parts.append(np.array(walked, np.int64))
+        if offset > end:
+            break
+        last = [*walked[-_PATTERN:], offset]
+        found = _repeated(records, offset, [one - before for before, one in pairwise(last)])
+        if found.size:
+            parts.append(found)
+            offset = int(found[-1]) + size + unpack(records, int(found[-1]))[1]
+        # where that does not go on for long it is tried less and less often
+        some = _PATTERN if found.size > 2 * _PATTERN else 4 * some
+    begins = np.concatenate(parts)
+    if offset != end or not np.frombuffer(records, np.uint8)[begins].all():
         raise DamagedError("is a chunk whose records don't fill it")
-    return np.array(walked, np.int64)
+    return begins
+
+
+def _repeated(records: bytes, offset: int, sizes: list[int]) -> NDArray[np.int64]:
+    """Where the records from `offset` on begin that go on like those before them, of these `sizes`: found at once."""
+    for count in range(1, len(sizes) // 2 + 1):
+        if sizes[count:] == sizes[:-count]:
+            break
+    else:
+        return np.empty(0, np.int64)
+    pattern = np.array(sizes[-count:])
+    period = int(pattern.sum())
+    places = offset + np.cumsum(pattern) - pattern + period * np.arange((len(records) - offset) // period)[:, None]
+    if not places.size:
+        return np.empty(0, np.int64)
+    lengths = np.ndarray((len(records) - 8,), "<u8", records, 1, (1,))[places]
+    same = (lengths == pattern - RECORD_HEAD.size).all(axis=1)
+    rows = int(np.argmin(np.append(same, False)))
+    found: NDArray[np.int64] = places[:rows].ravel()
+    return found
 
 
 @dataclass(frozen=True)
@@ -198,15 +214,24 @@ class Messages:
 
     def numbers(self, form: str, offset: int | NDArray[np.int64]) -> NDArray[Any]:
         """(messages,) the number of this form that each record has at an `offset`."""
-        size = np.dtype(form).itemsize
-        if not self.begins.size:
-            return np.empty(0, form)
-        everywhere = np.ndarray((len(self.records) - size + 1,), form, self.records, strides=(1,))
-        return everywhere[self.begins + offset]
+        return gather(self.records, form, self.begins + offset)
 
     def chosen(self, which: NDArray[Any]) -> Messages:
         """Some of them: `which` is a mask or their numbers."""
         return Messages(self.offset, self.records, self.begins[which], self.sizes[which], self.channel_ids[which])
+
+    def by_channel(self) -> Iterator[tuple[int, Messages]]:
+        """The messages of each channel, with its id."""
+        for channel_id in np.flatnonzero(np.bincount(self.channel_ids)).tolist():
+            yield channel_id, self.chosen(self.channel_ids == channel_id)
+
+    def compact(self) -> Messages:
+        """The same, without what is between them if that is most of the chunk."""
+        if 2 * int(self.sizes.sum()) >= len(self.records):
+            return self
+        ends = (self.begins + self.sizes).tolist()
+        records = b"".join(self.records[begin:end] for begin, end in zip(self.begins.tolist(), ends, strict=True))
+        return Messages(self.offset, records, np.cumsum(self.sizes) - self.sizes, self.sizes, self.channel_ids)
 
     def payloads(self) -> list[bytes]:
         """Their serialised bytes."""
@@ -214,29 +239,27 @@ class Messages:
         begins = (self.begins + MESSAGE_HEAD_SIZE).tolist()
         return [self.records[begin:end] for begin, end in zip(begins, ends, strict=True)]
 
-    def kept(self, refused: Collection[int], begin: int | None, end: int | None) -> Messages:
-        """Those that are not of `refused` channels, with log times [ns] from `begin` on and before `end`."""
-        if begin is end is None and not refused:
-            return self
-        keep = ~np.isin(self.channel_ids, list(refused))
-        if begin is not None:
-            keep &= self.log_time >= begin
-        if end is not None:
-            keep &= self.log_time < end
-        return self if keep.all() else self.chosen(keep)
+
+def gather(content: bytes, form: Any, begins: NDArray[np.int64], count: int | None = None) -> NDArray[Any]:
+    """(messages,) values of the type `form` that `content` has at `begins`, or (messages, count) for a `count`."""
+    form = np.dtype(form)
+    shape, strides = ((), ()) if count is None else ((count,), (form.itemsize,))
+    if not len(begins) or count == 0:
+        return np.empty((len(begins), *shape), form)
+    everywhere = len(content) - form.itemsize * (1 if count is None else count) + 1
+    found: NDArray[Any] = np.ndarray((everywhere, *shape), form, content, 0, (1, *strides))[begins]
+    return found
 
 
-def find_messages(
-    offset: int, records: bytes, message_offsets: Sequence[NDArray[np.int64]], table: ChannelTable
-) -> Messages:
-    """The messages of a chunk.
+def find_messages(offset: int, records: bytes, table: ChannelTable) -> tuple[Messages, int]:
+    """The messages of a chunk, and how many records it has that no chunk may hold.
 
     Parameters
     ----------
     offset
         Of the chunk in its file.
-    records, message_offsets
-        As for `record_offsets`.
+    records
+        The chunk, unpacked.
     table
         Gets the schemas and channels that are in the chunk.
 
@@ -245,17 +268,24 @@ def find_messages(
     DamagedError
         If they are not what a chunk may hold.
     """
-    begins = record_offsets(records, message_offsets)
+    try:
+        begins = record_offsets(records)
+    except MemoryError as error:
+        raise DamagedError("needs more memory than there is") from error
     sizes = np.append(begins[1:], len(records)) - begins if begins.size else begins
-    opcodes = np.frombuffer(records, np.uint8)[begins] if begins.size else begins
-    is_message = opcodes == Opcode.MESSAGE
-    if not is_message.all():
-        for k in np.flatnonzero((opcodes == Opcode.SCHEMA) | (opcodes == Opcode.CHANNEL)):
-            table.add(int(opcodes[k]), records[begins[k] + RECORD_HEAD.size : begins[k] + sizes[k]])
+    is_message = gather(records, "u1", begins) == Opcode.MESSAGE
+    others = [] if is_message.all() else np.flatnonzero(~is_message).tolist()
+    strange = 0
+    for k in others:
+        body = records[begins[k] + RECORD_HEAD.size : begins[k] + sizes[k]]
+        if records[begins[k]] == Opcode.SCHEMA:
+            table.add_schema(parse(Schema, body)[0])
+        elif records[begins[k]] == Opcode.CHANNEL:
+            table.add_channel(parse(Channel, body)[0])
+        else:
+            strange += 1
+    if others:
         begins, sizes = begins[is_message], sizes[is_message]
-    if not begins.size:
-        return Messages(offset, records, begins, sizes, np.empty(0, np.uint16))
-    if sizes.min() < MESSAGE_HEAD_SIZE:
+    if sizes.size and sizes.min() < MESSAGE_HEAD_SIZE:
         raise DamagedError("holds a message that is too short")
-    channel_ids = np.ndarray((len(records) - 1,), "<u2", records, strides=(1,))[begins + RECORD_HEAD.size]
-    return Messages(offset, records, begins, sizes, channel_ids)
+    return Messages(offset, records, begins, sizes, gather(records, "<u2", begins + RECORD_HEAD.size)), strange

@@ -5,16 +5,16 @@ from __future__ import annotations
 
 import contextlib
 import json
-import operator
+import os
 import struct
 import zlib
 from typing import TYPE_CHECKING, BinaryIO, TypeVar
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Metadata, Schema
+from mcap.records import Channel, McapRecord, Metadata
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -33,18 +33,15 @@ RECORD_HEAD = struct.Struct("<BQ")
 """Before the content of every record: its opcode and the content's length."""
 
 LARGEST_CHUNK = 1 << 29
-"""Greatest size [bytes] of a chunk, compressed or not, and of any other record: a larger one is treated as damaged. The
-logger takes no message of more than half of it."""
-_TRUSTED = 1 << 24
-"""Bytes of a record that are read before its lengths are compared with each other."""
+"""Greatest size [bytes] of a chunk, compressed or not: a larger one is treated as damaged."""
+LARGEST_MESSAGE = LARGEST_CHUNK // 2
+"""Greatest size [bytes] of a message that is written: its chunk also holds smaller ones."""
+LARGEST_TEXTS = 1 << 24
+"""Greatest size [bytes] of other records, such as metadata."""
+LATEST_TIME = 2**63 - 1
+"""Greatest log time [ns] that a clock gives: messages with a later one are not read, and not written."""
 
-_EXACT = (Attachment, Channel, Chunk, Header, Metadata, Schema)
-"""Records of the data section end with their last known field. Those of the summary section, which has a checksum, may
-have further fields of a later version of MCAP."""
 _WITH_TEXTS = (Channel, Metadata)
-_U64 = struct.Struct("<Q")
-_CHUNK_NAME_LENGTH = struct.Struct("<28xI")
-_INDEX_LENGTH = struct.Struct("<2xI")
 
 Record = TypeVar("Record", bound=McapRecord)
 
@@ -56,24 +53,19 @@ class DamagedError(Exception):
 class _Fields(ReadDataStream):
     """The fields of one record for the `read` of its class in `mcap.records`: none goes beyond the record's end."""
 
-    def __init__(self, body: bytes, exact: bool) -> None:
-        self._body, self._exact, self._count = body, exact, 0
+    def __init__(self, body: bytes, cut: bool) -> None:
+        self._body, self._cut, self._count = body, cut, 0
 
     def read(self, length: int) -> bytes:
         begin = self._count
         self._count += length
-        if self._exact and self._count > len(self._body):
+        if not self._cut and self._count > len(self._body):
             raise DamagedError("has inconsistent lengths")
         return self._body[begin : self._count]
 
-    def read8(self) -> int:  # most fields of chunk indexes, of which a file has thousands
-        (number,) = _U64.unpack_from(self._body, self._count)
-        self._count += 8
-        return int(number)
 
-
-def parse(kind: type[Record], body: bytes, exact: bool = True) -> Record:
-    """A record from its content.
+def parse(kind: type[Record], body: bytes, cut: bool = False) -> tuple[Record, int]:
+    """A record from its content, and how many bytes follow its last field: those of a later version of MCAP.
 
     Parameters
     ----------
@@ -81,28 +73,45 @@ def parse(kind: type[Record], body: bytes, exact: bool = True) -> Record:
         Its class in `mcap.records`.
     body
         The content: what follows opcode and length.
-    exact
-        Whether its lengths must fit `body`. If not, bytes after the last field are ignored, and a text or packed data
-        that would go beyond the end is cut off there.
+    cut
+        Whether the file may end in it: a text or packed data that would go beyond the end is then cut off there.
 
     Raises
     ------
     DamagedError
         If its lengths do not fit, or a text is not UTF-8.
     """
-    fields = _Fields(body, exact)
+    fields = _Fields(body, cut)
     try:
         record: Record = kind.read(fields)  # type: ignore[attr-defined]
     except struct.error as error:
         raise DamagedError("has inconsistent lengths") from error
     except UnicodeDecodeError as error:
         raise DamagedError("contains text that is not UTF-8") from error
-    if exact and kind in _EXACT:
-        # mcap reads texts by key until their length is reached, or passed
-        fits = record_bytes(record)[RECORD_HEAD.size :] == body if kind in _WITH_TEXTS else fields.count == len(body)
-        if not fits:
+    read = fields.count
+    if kind in _WITH_TEXTS:  # mcap reads texts by key until their length is reached, or passed
+        content = record_bytes(record)[RECORD_HEAD.size :]
+        read = len(content)
+        if not body.startswith(content):
             raise DamagedError("has inconsistent lengths")
-    return record
+    return record, len(body) - read
+
+
+def attachment_head(body: bytes) -> tuple[str, str, int, int]:
+    """Name, media type, where the content begins, and its length, from the beginning of an attachment's `body`.
+
+    Raises
+    ------
+    DamagedError
+        If it ends before, or a name is not UTF-8.
+    """
+    fields = _Fields(body, cut=False)
+    try:
+        fields.read(16)
+        name, media_type, size = fields.read_prefixed_string(), fields.read_prefixed_string(), fields.read8()
+    except UnicodeDecodeError as error:
+        raise DamagedError("contains text that is not UTF-8") from error
+    return name, media_type, fields.count, size
 
 
 def record_bytes(record: McapRecord) -> bytes:
@@ -113,73 +122,60 @@ def record_bytes(record: McapRecord) -> bytes:
 
 
 @contextlib.contextmanager
-def open_mcap(path: Path) -> Iterator[BinaryIO]:
-    """The file, positioned after MCAP's magic, of which one byte may be damaged."""
+def open_file(path: Path) -> Iterator[tuple[BinaryIO, int]]:
+    """A file, and its size; what the operating system refuses is an AbraceError."""
     try:
         with path.open("rb") as file:
-            magic = file.read(len(MCAP0_MAGIC))
-            if not magic:
-                raise AbraceError(f"{path}: the file is empty, expected an MCAP file")
-            if len(magic) < len(MCAP0_MAGIC) or sum(map(operator.ne, magic, MCAP0_MAGIC)) > 1:
-                raise AbraceError(f"{path}: not an MCAP file")
-            yield file
+            yield file, os.fstat(file.fileno()).st_size
     except OSError as error:
         raise AbraceError(f"{path}: {error.strerror}") from error
 
 
-def next_record(file: BinaryIO, size: int) -> tuple[int, bytes]:
-    """Opcode and content of the next record of a file of `size` bytes.
+def record_head(file: BinaryIO, offset: int, size: int) -> tuple[int, int]:
+    """Opcode and length of the record at an `offset` of a file of `size` bytes, which holds the whole of it.
 
     Raises
     ------
     DamagedError
         If the file ends before it does, or its length can't be right.
     """
-    opcode, length = record_head(file, size)
-    if length > _TRUSTED:
-        _check_length(file, opcode, length)
+    file.seek(offset)
+    head = file.read(RECORD_HEAD.size)
+    if len(head) < RECORD_HEAD.size:
+        raise DamagedError("is incomplete")
+    opcode, length = RECORD_HEAD.unpack(head)
+    if length > size - offset - RECORD_HEAD.size:
+        raise DamagedError("is incomplete")
+    if opcode != Opcode.ATTACHMENT and length > largest_record(opcode):
+        raise DamagedError(f"has {length} bytes, expected at most {largest_record(opcode)}")
+    return opcode, length
+
+
+def is_record(file: BinaryIO, offset: int, size: int, following: int = 1) -> bool:
+    """Whether at an `offset` of a file of `size` bytes may be a record, and some `following`, or the last magic."""
+    file.seek(offset)
+    head = file.read(RECORD_HEAD.size)
+    if len(head) < RECORD_HEAD.size:
+        return head == MCAP0_MAGIC
+    opcode, length = RECORD_HEAD.unpack(head)
+    end = offset + len(head) + length
+    return opcode > 0 and end <= size and (not following or end == size or is_record(file, end, size, following - 1))
+
+
+def read_record(file: BinaryIO, offset: int, size: int) -> tuple[int, bytes]:
+    """Opcode and content of the record at an `offset`, as `record_head`."""
+    opcode, length = record_head(file, offset, size)
+    file.seek(offset + RECORD_HEAD.size)
     try:
         return opcode, file.read(length)
     except MemoryError as error:
         raise DamagedError(f"has {length} bytes, more than there is memory") from error
 
 
-def record_head(file: BinaryIO, size: int) -> tuple[int, int]:
-    """Opcode and length of the next record of a file of `size` bytes, which holds the whole of it.
-
-    Raises
-    ------
-    DamagedError
-        If the file ends before it does.
-    """
-    head = file.read(RECORD_HEAD.size)
-    if len(head) < RECORD_HEAD.size:
-        raise DamagedError("is incomplete")
-    opcode, length = RECORD_HEAD.unpack(head)
-    if length > size - file.tell():
-        raise DamagedError("is incomplete")
-    return opcode, length
-
-
-def _check_length(file: BinaryIO, opcode: int, length: int) -> None:
-    """Compare the `length` of a large record with the length that its content states, before reading it into memory."""
-    if length > LARGEST_CHUNK:
-        raise DamagedError(f"has {length} bytes, expected at most {LARGEST_CHUNK}")
-    begin = file.tell()
-    if opcode == Opcode.CHUNK:
-        fixed = file.read(_CHUNK_NAME_LENGTH.size)
-        named = _CHUNK_NAME_LENGTH.unpack(fixed)[0]
-        file.seek(begin + len(fixed) + named)
-        expected = len(fixed) + named + _U64.size + _U64.unpack(file.read(_U64.size))[0]
-    elif opcode == Opcode.MESSAGE_INDEX:
-        expected = 6 + _INDEX_LENGTH.unpack(file.read(_INDEX_LENGTH.size))[0]
-    elif opcode in (Opcode.ATTACHMENT, Opcode.MESSAGE):
-        return
-    else:
-        raise DamagedError(f"has {length} bytes, expected at most {_TRUSTED}")
-    if expected != length:
-        raise DamagedError("has inconsistent lengths")
-    file.seek(begin)
+def largest_record(opcode: int) -> int:
+    """Greatest size [bytes] of a record of this `opcode`: a larger one is treated as damaged, and not written."""
+    large = opcode in (Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.MESSAGE)
+    return LARGEST_CHUNK if large else LARGEST_TEXTS
 
 
 def facts_checksum(facts: Mapping[str, str]) -> str:
@@ -187,15 +183,15 @@ def facts_checksum(facts: Mapping[str, str]) -> str:
     return f"{zlib.crc32(json.dumps(dict(facts), sort_keys=True).encode()):08x}"
 
 
-def checked_facts(path: Path, texts: Mapping[str, str]) -> dict[str, str]:
+def checked_facts(texts: Mapping[str, str]) -> dict[str, str]:
     """The facts in the `texts` of their record, without the checksum.
 
     Raises
     ------
-    AbraceError
+    DamagedError
         If they do not fit it.
     """
     facts = {key: text for key, text in texts.items() if key != CHECKSUM_KEY}
     if texts.get(CHECKSUM_KEY) != facts_checksum(facts):
-        raise AbraceError(f"{path}: the run's facts do not match their checksum, the file is damaged")
+        raise DamagedError("do not match their checksum")
     return facts

@@ -21,23 +21,21 @@ from std_srvs.srv import Trigger
 from abrace_bags import BagWriter
 from abrace_bags.mcap.attachments import file_attachments
 from abrace_bags.metadata import installed_versions
-from abrace_bags.nodes.raw_subscription import DEPTH, RawSubscription, publishers_of
+from abrace_bags.nodes.endpoint import Publisher, publishers_of
+from abrace_bags.nodes.raw_subscription import DEPTH, RawSubscription
 from abrace_bags.recording import Recording, parse_facts
-from abrace_bags.topic_choice import Publisher, TopicChoice
-from abrace_core.errors import AbraceError
-from abrace_core.node import AbraceNode, Parameter, RCLError, rcl_message, run
+from abrace_core import AbraceError
+from abrace_node.node import AbraceNode, RCLError, rcl_message
+from abrace_node.parameters import Parameter
+from abrace_node.process import run
 
 PARAMETERS = [
     Parameter("output", "", "bag (a new directory) to write", required=True),
     Parameter("topics", ["response", "brace_command", "ground_motion", "/diagnostics"], "topics to record, by name"),
-    Parameter("pattern", "", "regular expression; topics whose full names contain a match are recorded, too"),
-    Parameter("all", False, "record all topics except hidden ones"),
     Parameter("facts", [], "facts of the run, each as key=value, written into the bag", element=str),
     Parameter("attachments", [], "files of the run that go into the bag: rig, model, controller, record", element=str),
-    Parameter("compression", "zstd", "compression of each chunk", choices=("zstd", "lz4", "none")),
-    Parameter("split_size", 2**30, "bytes after which the next file begins; 0: never", minimum=0),
+    Parameter("split_size", 2**30, "bytes after which the next file begins; 0: when its index takes 64 MiB", minimum=0),
     Parameter("split_duration", 3600.0, "s after which the next file begins; 0.0: never", minimum=0.0, maximum=1e9),
-    Parameter("snapshot", 0.0, "s to keep in memory, written only on `~/snapshot`; 0: off", minimum=0.0, maximum=1e6),
     Parameter("autostart", True, "record at once; false: wait for `~/start`"),
     Parameter("flush_interval", 0.1, "s between flushes: what a killed logger may lose", minimum=0.01, maximum=10.0),
     Parameter("sync_interval", 0.5, "s between syncs: what a power loss may lose as well", minimum=0.1, maximum=600.0),
@@ -46,7 +44,7 @@ PARAMETERS = [
     ),
 ]
 
-SERVICES = ("start", "stop", "pause", "resume", "split", "snapshot")
+SERVICES = ("start", "stop")
 """Each is a method of the node, which returns the answer."""
 DISCOVERY_PERIOD = 0.05
 """Seconds between searches for topics that have not appeared yet."""
@@ -81,14 +79,14 @@ class Logger(AbraceNode):
             self.given_names = {self.resolve_topic_name(topic): topic for topic in given.topics if topic}
         except RCLError as error:
             raise AbraceError(f"parameter topics: {given.topics}, {rcl_message(error)}") from error
-        self.choice = TopicChoice(frozenset(self.given_names), given.pattern, given.all)
+        if not self.given_names:
+            raise AbraceError("parameter topics: no topic, expected names")
         self.attachments = file_attachments([Path(path) for path in given.attachments])
         self.topics: dict[str, Topic] = {}
         self.errors: dict[str, str] = {}
         # of topics that can't be recorded, how many publishers and which types they had
         self.refused: dict[str, tuple[int, list[str]]] = {}
         self.recording: Recording | None = None
-        self.paused = False
         self.bags = 0
         self.matched = 0
         self.input = rclpy.create_node(
@@ -113,7 +111,7 @@ class Logger(AbraceNode):
         if self.recording is None or self.exit_code is not None:
             return
         found = dict(self.get_topic_names_and_types())
-        for name in sorted(self.choice.of(found)):
+        for name in sorted(found.keys() & self.given_names.keys()):
             topic = self.topics.get(name)
             state = (self.count_publishers(name), found[name])
             known = topic is not None and topic.subscription.count_publishers() == state[0]
@@ -167,29 +165,14 @@ class Logger(AbraceNode):
 
     def receive(self, topic: Topic, most: int) -> int:
         """Receive a topic's messages that have come, `most` of them; returns how many those were."""
-        received = topic.subscription.receive(most, self.writer(topic))
-        if self.records(topic):
-            topic.count += received
-        if not topic.untimed and topic.topic_id in self.open_recording().untimed:
+        recording = self.open_recording()
+        received = topic.subscription.receive(most, partial(recording.write, topic.topic_id))
+        topic.count += received
+        if not topic.untimed and topic.topic_id in recording.untimed:
             topic.untimed = True
             name = topic.subscription.topic
             self.get_logger().warning(f"{name}: messages without a valid time, the logger gives them its own")
         return received
-
-    def receive_all(self) -> Recording:
-        """Receive all messages that have come; returns what records them."""
-        recording = self.open_recording()
-        for topic in self.topics.values():
-            self.receive(topic, DEPTH)
-        return recording
-
-    def records(self, topic: Topic) -> bool:
-        """Whether a topic's messages are recorded now: in a pause only those of transient local topics."""
-        return not self.paused or topic.subscription.transient_local
-
-    def writer(self, topic: Topic) -> Callable[[bytes, int, int], None]:
-        """The function that writes a topic's messages, or drops them."""
-        return partial(self.open_recording().write, topic.topic_id) if self.records(topic) else lambda *_: None
 
     def open_recording(self) -> Recording:
         """What is being recorded."""
@@ -223,24 +206,20 @@ class Logger(AbraceNode):
             self.facts,
             records=records,
             attachments=self.attachments,
-            compression=given.compression,
             split_size=given.split_size,
             split_duration=given.split_duration,
         )
         self.recording = Recording(
-            bag,
-            given.flush_interval,
-            sync_interval=given.sync_interval,
-            snapshot=given.snapshot,
-            lockstep=given.lockstep,
+            bag, given.flush_interval, sync_interval=given.sync_interval, lockstep=given.lockstep
         )
         self.bags += 1
-        self.paused = False
         return f"recording {directory}"
 
     def stop(self) -> str:
         """Receive the last messages and close the bag; the node stays, for another start."""
-        recording = self.receive_all()
+        recording = self.open_recording()
+        for topic in self.topics.values():
+            self.receive(topic, DEPTH)
         not_received = {topic.topic_id: topic.subscription.lost for topic in self.topics.values()}
         self.recording = None
         # before the bag is closed, which may take a while: what comes meanwhile would be kept in memory
@@ -248,61 +227,34 @@ class Logger(AbraceNode):
             topic.subscription.close()
         self.topics = {}
         bag = recording.close(not_received)
-        counts = {self.given_names.get(name, name): one for name, one in bag.counts().items()}
+        counts = {self.given_names[name]: one for name, one in bag.contents().items()}
         lost = ", ".join(f"{one.lost} of {name}" for name, one in counts.items() if one.lost)
         if lost:
             self.get_logger().error(f"lost {lost}")
         messages = ", ".join(f"{one.messages} of {name}" for name, one in counts.items())
         return f"wrote {bag.directory}: {messages or 'nothing came'}"
 
-    def pause(self) -> str:
-        """Drop what is published from now on."""
-        self.receive_all()
-        self.paused = True
-        return "paused"
-
-    def resume(self) -> str:
-        """Record again."""
-        recording = self.open_recording()
-        if self.paused:
-            self.receive_all()
-            self.paused = False
-            recording.interrupt()
-        return "recording"
-
-    def split(self) -> str:
-        """Continue in the next file."""
-        self.receive_all().split()
-        return "the next messages go to the next file"
-
-    def snapshot(self) -> str:
-        """Write what is in memory."""
-        if not self.parameters.snapshot:
-            raise AbraceError("parameter snapshot is 0: the bag is written continuously, expected snapshot above 0")
-        count = self.receive_all().write_snapshot()
-        return f"writing {count} messages"
-
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
         """State for `/diagnostics`."""
         values: dict[str, object] = {}
         recording = self.recording
-        overflowed, untimed = (recording.overflowed, recording.untimed) if recording else ({}, {})
+        dropped, untimed = (recording.dropped, recording.untimed) if recording else ({}, {})
         if recording:
             values["file"] = recording.file
         for name, topic in self.topics.items():
-            shown = self.given_names.get(name, name)
+            shown = self.given_names[name]
             values[f"publishers of {shown}"] = topic.subscription.count_publishers()
             values[f"messages of {shown}"] = topic.count
-            values[f"lost of {shown}"] = topic.subscription.lost + overflowed.get(topic.topic_id, 0)
+            values[f"lost of {shown}"] = topic.subscription.lost + dropped.get(topic.topic_id, 0)
             if topic.topic_id in untimed:
                 values[f"without a valid time of {shown}"] = untimed[topic.topic_id]
         missing = sorted(given for name, given in self.given_names.items() if name not in self.topics)
         if missing:
             values["not seen yet"] = ", ".join(missing)
-        fault = "the disk is too slow, messages are dropped" if overflowed else None
+        fault = "the disk is too slow, messages are dropped" if dropped else None
         if self.errors:
             fault = "; ".join([*self.errors.values(), *([fault] if fault else [])])
-        return fault, "stopped" if recording is None else "paused" if self.paused else "recording", values
+        return fault, "recording" if recording else "stopped", values
 
     def close(self) -> None:
         """Receive the last messages and close the bag."""

@@ -9,14 +9,12 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
-from rclpy.type_hash import TypeHash
 from rosbags.interfaces import QosDurability, QosHistory
 
-from abrace_bags.nodes.endpoint import message_class, qos_profile
-from abrace_bags.qos import common_qos, offered_qos
-from abrace_bags.topic_choice import Publisher, common_definition
-from abrace_core.errors import AbraceError
-from abrace_core.sequence import SequenceCounter
+from abrace_bags.nodes.endpoint import common_definition, message_class, qos_profile
+from abrace_bags.qos import common_qos
+from abrace_bags.sequence import SequenceCounter
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -24,6 +22,8 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.subscription import Subscription
     from rosbags.interfaces import Qos
+
+    from abrace_bags.nodes.endpoint import Publisher
 
     Received = tuple[bytes, dict[str, int]]
     """The bytes of a message, and the middleware's information about it."""
@@ -194,19 +194,6 @@ def _taken(subscription: Subscription, most: int) -> Iterator[Received]:
 def _key(payload: bytes, info: dict[str, int]) -> tuple[int, int]:
     """A key that identifies a message received by two subscriptions."""
     return info["source_timestamp"], hash(payload)
-
-
-def publishers_of(node: Node, topic: str) -> list[Publisher]:
-    """The publishers of a topic, by its full name, that a node has discovered."""
-    # a publisher from before ROS 2 Iron has no hash
-    return [
-        Publisher(
-            one.topic_type,
-            "" if one.topic_type_hash == TypeHash() else str(one.topic_type_hash),
-            offered_qos(one.qos_profile),
-        )
-        for one in node.get_publishers_info_by_topic(topic)
-    ]
 
 
 def _never_called(message: bytes) -> None:

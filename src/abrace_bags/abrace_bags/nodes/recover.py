@@ -7,7 +7,10 @@ abrace run abrace_bags recover --ros-args -p bag:=bags/broken -p output:=bags/re
 from __future__ import annotations
 
 from abrace_bags import recover
-from abrace_core.node import AbraceNode, Parameter, run
+from abrace_bags.topics import printable
+from abrace_node.node import AbraceNode
+from abrace_node.parameters import Parameter
+from abrace_node.process import run
 
 PARAMETERS = [
     Parameter("bag", "", "bag (a directory or an MCAP file) that was cut off or damaged", required=True),
@@ -25,10 +28,9 @@ class Recover(AbraceNode):
         """Read, write, print."""
         given = self.parameters
         recovered = recover(given.bag, given.output)
-        for warning in recovered.warnings:
-            print(f"recover: {warning}", flush=True)
         counts = ", ".join(f"{count} of {topic}" for topic, count in recovered.counts.items())
-        print(f"recover: wrote {given.output}: {counts}", flush=True)
+        for line in (*recovered.warnings, f"wrote {given.output}: {counts}"):
+            print(f"recover: {printable(line)}", flush=True)
 
 
 def main() -> int:

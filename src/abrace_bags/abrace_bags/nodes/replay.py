@@ -9,34 +9,31 @@ from __future__ import annotations
 import sys
 import time
 
-from builtin_interfaces.msg import Time
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import NameValidationException
 from rclpy.publisher import Publisher
-from rclpy.topic_endpoint_info import TopicEndpointInfo
-from rosgraph_msgs.msg import Clock as ClockMessage
-from std_srvs.srv import SetBool, Trigger
 
 from abrace_bags.nodes.endpoint import message_class, qos_profile
 from abrace_bags.playback import (
-    CLOCK,
     COMMAND_TOPIC,
-    RESPONSE_TYPE,
     Answers,
     BagPlayback,
     bag_to_replay,
-    check_clock,
     check_type,
     replayed_qos,
     response_topic,
     sibling_topic,
 )
-from abrace_bags.raw import RecordedTopic
-from abrace_bags.survey import RawMessage
-from abrace_core.errors import AbraceError
-from abrace_core.node import DISPLAY_PERIOD, KEPT_STREAM_QOS, AbraceNode, Parameter, RCLError, rcl_message, run
-from abrace_core.progress import Step
+from abrace_bags.raw import RawMessage
+from abrace_bags.run import RESPONSE_TYPE
+from abrace_bags.topics import RecordedTopic
+from abrace_core import AbraceError
+from abrace_core.files.progress import Step
 from abrace_interfaces.msg import BraceCommand
+from abrace_node.node import DISPLAY_PERIOD, AbraceNode, RCLError, endpoint_names, rcl_message
+from abrace_node.parameters import Parameter
+from abrace_node.process import run
+from abrace_node.transport import KEPT_STREAM_QOS
 
 PARAMETERS = [
     Parameter("bag", "", "bag to replay: a directory or a file", required=True),
@@ -47,21 +44,18 @@ PARAMETERS = [
         element=str,
     ),
     Parameter("rate", 1.0, "speed, bag time over real time; not in lockstep", minimum=0.001, maximum=1e6),
-    Parameter("loop", False, "begin again at the end"),
     Parameter("start_offset", 0.0, "s after the first of the messages, where to begin", minimum=0.0, maximum=1e9),
     Parameter("duration", 0.0, "s of the bag to replay; 0: to the end", minimum=0.0, maximum=1e9),
-    Parameter("clock", False, "publish /clock: the bag's time, 50 times a second"),
-    Parameter("start_paused", False, "wait for ~/pause or ~/step"),
     Parameter("lockstep", False, "publish a response as soon as a brace_command has answered the previous one"),
     Parameter("lockstep_timeout", 10.0, "seconds without an answer that end a lockstep run", minimum=0.1),
 ]
 
 SHOW_PERIOD = 0.1
 """Seconds between two updates of the progress line."""
+FOUND_TIME = 1.0
+"""Seconds within which a commander that has been found has found this node as well: its answer would be lost before."""
 BATCH = 50
 """Messages published in a row of those that are due; services are answered after them."""
-UNKNOWN = "_NODE_NAME_UNKNOWN_"
-"""Name of a node that has not been discovered yet, in contrast to its publisher or subscription."""
 
 
 class Replay(AbraceNode):
@@ -71,10 +65,8 @@ class Replay(AbraceNode):
         super().__init__("replay", PARAMETERS)
         given = self.parameters
         bag = bag_to_replay(given.bag, given.topics, given.start_offset, given.duration)
-        self.playback = BagPlayback(bag, given.rate, given.loop)
+        self.playback = BagPlayback(bag, given.rate)
         answered = response_topic(bag) if given.lockstep else ""
-        if given.clock:
-            check_clock(given.bag, bag)
         self.outputs = {name: self.output(topic) for name, topic in bag.topics.items()}
         for warning in bag.warnings:
             self.get_logger().warning(warning)
@@ -85,17 +77,11 @@ class Replay(AbraceNode):
             self.samples = self.outputs[answered]
             topic = sibling_topic(self.samples.topic_name, COMMAND_TOPIC)
             self.commands = self.subscribe_to(BraceCommand, topic, self.on_command, KEPT_STREAM_QOS, raw=True)
-        self.create_service(SetBool, "~/pause", self.on_pause)
-        self.create_service(Trigger, "~/step", self.on_step)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        if given.clock:
-            self.clock_output = self.create_publisher(ClockMessage, CLOCK, 10)
-            self.create_timer(DISPLAY_PERIOD, self.publish_clock, clock=steady)
-        self.create_timer(SHOW_PERIOD, self.show, clock=steady)
+        self.create_timer(SHOW_PERIOD, self.show, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.progress = Step(f"replay {given.bag}", sys.stderr, time.monotonic)
-        self.paused = given.start_paused
         self.began: float | None = None
-        self.pause_or_play()
+        self.found: float | None = None
+        self.due = time.monotonic()
 
     def output(self, topic: RecordedTopic) -> Publisher:
         """The publisher of a topic, with the recorded QoS."""
@@ -106,13 +92,6 @@ class Replay(AbraceNode):
             return self.publish_on(message_type, topic.name, qos_profile(qos))
         except (RCLError, NameValidationException) as error:
             raise AbraceError(f"bag {self.parameters.bag}: topic {topic.name}: {rcl_message(error)}") from error
-
-    def pause_or_play(self) -> None:
-        """Stop the clock if paused, otherwise resume."""
-        now = time.monotonic()
-        if self.paused:
-            self.playback.stop_clock(now)
-        self.due = None if self.paused else now
 
     def tick(self) -> None:
         """Play messages that are due; in lockstep the first sample, or end if an answer is overdue."""
@@ -125,24 +104,24 @@ class Replay(AbraceNode):
                 f"no answer to sample {self.answers.missing} on {self.commands.topic_name} within "
                 f"{self.parameters.lockstep_timeout:g} s (lockstep_timeout)",
             )
-        elif self.began is None and not self.matched():
+        elif self.began is None and not self.is_met():
             self.due = time.monotonic() + DISPLAY_PERIOD
         else:
             self.check_for_rig()
             if self.exit_code is None:
                 self.play_sample()
 
-    def matched(self) -> bool:
-        """Whether one node subscribes to the samples and publishes commands; others may subscribe, too."""
-        subscribers = self.get_subscriptions_info_by_topic(self.samples.topic_name)
-        commanders = self.get_publishers_info_by_topic(self.commands.topic_name)
-        return not node_names(subscribers).isdisjoint(node_names(commanders))
+    def is_met(self) -> bool:
+        """Whether a commander has been there for FOUND_TIME."""
+        now = time.monotonic()
+        self.found = (self.found or now) if self.finds_commander(self.samples, self.commands) else None
+        return self.found is not None and now >= self.found + FOUND_TIME
 
     def check_for_rig(self) -> None:
         """End if a rig publishes on a topic of samples that is replayed: answers to these would move the rig."""
         for output in self.responses:
             if self.exit_code is None and self.count_publishers(output.topic_name) > 1:
-                others = node_names(self.get_publishers_info_by_topic(output.topic_name))
+                others = endpoint_names(self.get_publishers_info_by_topic(output.topic_name))
                 others.discard(self.get_fully_qualified_name())
                 self.due = None
                 self.finish(
@@ -152,15 +131,13 @@ class Replay(AbraceNode):
                 )
 
     def play_due(self) -> None:
-        """Publish the messages that are due. The clock starts here; otherwise a late first tick would be a burst."""
-        now = time.monotonic()
-        self.began = self.began or now
-        self.playback.start_clock(now)
+        """Publish the messages that are due. Time begins here; otherwise a late first tick would be a burst."""
+        self.began = self.began or time.monotonic()
         for _ in range(BATCH):
-            if self.playback.due is None or self.playback.due > time.monotonic():
+            self.due = self.playback.due(self.began)
+            if self.due is None or self.due > time.monotonic():
                 break
             self.publish(self.playback.next_message())
-        self.due = self.playback.due
         self.end_at_the_last()
 
     def play_sample(self) -> None:
@@ -197,8 +174,6 @@ class Replay(AbraceNode):
             return
         if answered and self.playback.ended:
             self.end_at_the_last()
-        elif answered and self.paused:
-            self.due = None
         elif answered:
             self.play_sample()
 
@@ -209,45 +184,6 @@ class Replay(AbraceNode):
             seconds = time.monotonic() - self.began
             self.finish(0, f"done: {self.playback.played} messages in {seconds:.2f} s")
 
-    def on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        """Pause, or go on."""
-        waiting = self.answers is not None and self.answers.missing is not None
-        self.paused = request.data
-        if not waiting:
-            self.pause_or_play()
-        response.success = True
-        response.message = "paused" if self.paused else "playing"
-        return response
-
-    def on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Publish the next message; in lockstep everything up to the next sample."""
-        refusal = ""
-        if not self.paused:
-            refusal = "playing, expected to be paused"
-        elif self.playback.ended:
-            refusal = "the last message has been played"
-        elif self.answers is not None and self.answers.missing is not None:
-            refusal = f"sample {self.answers.missing} has not been answered"
-        elif self.answers is not None and not self.matched():
-            refusal = f"no node subscribes to {self.samples.topic_name} and publishes {self.commands.topic_name} yet"
-        response.success = not refusal
-        response.message = refusal
-        if refusal:
-            return response
-        if self.answers is not None:
-            self.play_sample()
-        else:
-            self.began = self.began or time.monotonic()
-            self.publish(self.playback.step())
-            self.end_at_the_last()
-        response.message = f"{self.playback.played} messages played"
-        return response
-
-    def publish_clock(self) -> None:
-        """Publish the bag's time."""
-        seconds, nanoseconds = divmod(self.playback.bag_time(time.monotonic()), 10**9)
-        self.clock_output.publish(ClockMessage(clock=Time(sec=seconds, nanosec=nanoseconds)))
-
     def show(self) -> None:
         """Show the progress, and check that no rig publishes on the same topics."""
         self.check_for_rig()
@@ -255,22 +191,13 @@ class Replay(AbraceNode):
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
         """State for `/diagnostics`."""
-        message = "paused" if self.paused else "waiting for the controller" if self.began is None else "playing"
+        message = "waiting for the controller" if self.began is None else "playing"
         return None, message, {"played": self.playback.played, "fraction": round(self.playback.fraction, 4)}
 
     def close(self) -> None:
         """Show how it ended, with the count of the last message."""
         self.progress.update(self.playback.fraction, f"{self.playback.played} messages")
         self.progress.close("done in" if self.exit_code == 0 else "failed after" if self.exit_code else "stopped after")
-
-
-def node_names(endpoints: list[TopicEndpointInfo]) -> set[str]:
-    """Full names of the endpoints' nodes, without those that are not discovered yet."""
-    return {
-        f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
-        for endpoint in endpoints
-        if endpoint.node_name != UNKNOWN
-    }
 
 
 def main() -> int:

@@ -11,17 +11,14 @@ from typing import TYPE_CHECKING
 import rclpy
 from rosbags.interfaces import QosDurability, QosReliability
 
-from abrace_bags.nodes.raw_subscription import RawSubscription, publishers_of
-from abrace_bags.topic_choice import common_definition
-from abrace_bringup.viewing.named_channels import RESPONSE_TYPE
-from abrace_core.errors import AbraceError
+from abrace_bags.nodes.endpoint import common_definition, publishers_of
+from abrace_bags.nodes.raw_subscription import RawSubscription
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-
-    from abrace_bags.topic_choice import Publisher
+    from abrace_bags.nodes.endpoint import Publisher
     from abrace_bringup.viewing.server import ViewServer
-    from abrace_core.node import AbraceNode
+    from abrace_node.node import AbraceNode
 
 MOST_AT_ONCE = 1000
 """Messages received of a topic before the others' turn."""
@@ -44,8 +41,6 @@ class LiveTopics:
         self._offered: set[str] = set()
         self._subscriptions: dict[str, RawSubscription] = {}
         self._refused: dict[str, list[str]] = {}
-        self.rigs: list[str] = []
-        """Topics of rigs' samples, in the order in which they were found."""
         # no executor spins it: `receive` takes the messages
         self._input = rclpy.create_node(
             f"_{node.get_name()}_input",
@@ -70,12 +65,10 @@ class LiveTopics:
                 continue
             self._server.offer(name, definition)
             self._offered.add(name)
-            if definition.type_name == RESPONSE_TYPE:
-                self.rigs.append(name)
 
-    def subscribe(self, besides: Collection[str]) -> None:
-        """Subscribe to the topics that clients show and to the topics `besides`, and to no others."""
-        wanted = {name for name in self._offered if self._server.wanted(name)} | set(besides)
+    def subscribe(self) -> None:
+        """Subscribe to the topics that clients show, and to no others."""
+        wanted = {name for name in self._offered if self._server.wanted(name)}
         for name in set(self._subscriptions) - wanted:
             self._subscriptions.pop(name).close()
         for name in wanted:
@@ -91,23 +84,20 @@ class LiveTopics:
                 self._node.get_logger().warning(f"{error}; it is no longer shown")
                 self._subscriptions.pop(name).close()
 
-    def receive(self, take: Callable[[str, bytes, int], None]) -> None:
-        """Send viewers the messages that have come; `take` gets each as well: topic, bytes, when it came [ns]."""
+    def receive(self) -> None:
+        """Send viewers the messages that have come."""
         for name, subscription in self._subscriptions.items():
             latched = subscription.transient_local
-            sent = self._server.wanted(name) or latched
 
             def write(payload: bytes, received: int, _: int) -> None:
-                if sent:  # noqa: B023
-                    self._server.send(name, payload, received, latched)  # noqa: B023
-                take(name, payload, received)  # noqa: B023
+                self._server.send(name, payload, received, latched)  # noqa: B023
 
             subscription.receive(MOST_AT_ONCE, write)
 
-    def lost(self, name: str) -> int:
-        """Messages of a topic of this `name` that were not received."""
-        subscription = self._subscriptions.get(name)
-        return subscription.lost if subscription is not None else 0
+    @property
+    def lost(self) -> int:
+        """Messages of the topics that clients show which were not received."""
+        return sum(subscription.lost for subscription in self._subscriptions.values())
 
     def close(self) -> None:
         """Leave the graph."""

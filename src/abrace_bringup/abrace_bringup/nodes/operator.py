@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node `operator`: a page in the browser on which a person watches a rig, arms it, records, and stops it.
 
+With operate:=false the page only watches, and the node commands nothing.
+
 abrace run abrace_bringup operator --ros-args -r __ns:=/rig -p rig:=ncree_three_storey
 """
 
@@ -9,7 +11,6 @@ from __future__ import annotations
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -20,16 +21,20 @@ from std_srvs.srv import Trigger
 
 from abrace.nodes.graph_operator import STOP_TOPIC, GraphOperator, StopButton
 from abrace.report.node_table import NodeReports
-from abrace_bringup.operator_page import actions, view
-from abrace_bringup.operator_page.access import make_access
-from abrace_bringup.operator_page.server import PageServer
-from abrace_bringup.operator_page.stop_request import StopRequest
-from abrace_bringup.operator_page.traces import Traces
-from abrace_core.errors import AbraceError
-from abrace_core.node import TRANSIENT_LOCAL_QOS, AbraceNode, Parameter, find_file, run
-from abrace_core.safety.rig_safety import ACTING
-from abrace_core.wire import Responses
+from abrace_bringup.page import actions, view
+from abrace_bringup.page.access import make_access
+from abrace_bringup.page.samples import ResponseReader, Samples
+from abrace_bringup.page.server import PageServer
+from abrace_bringup.page.stop_request import StopRequest
+from abrace_bringup.page.traces import Traces
+from abrace_bringup.viewing.layout import foxglove_layout
+from abrace_core import AbraceError
+from abrace_core.files.installed import find_file
 from abrace_interfaces.msg import Response
+from abrace_node.node import AbraceNode
+from abrace_node.parameters import Parameter
+from abrace_node.process import run
+from abrace_node.transport import TRANSIENT_LOCAL_QOS
 from abrace_plant.rig.file import load_rig
 
 PARAMETERS = [
@@ -42,18 +47,20 @@ PARAMETERS = [
     Parameter(
         "address",
         "127.0.0.1",
-        "IP address that the page is served on; beyond loopback only with token_file, certificate and key",
+        "IP address that the page is served on; to operate beyond loopback only with token_file, certificate and key",
         required=True,
     ),
     Parameter("port", 8642, "port of the page; 0: a free one", minimum=0, maximum=65535),
     Parameter("hosts", [], "further host names by which browsers reach this machine", element=str),
-    Parameter("token_file", "", "file with the token that a page has to give; empty: none"),
+    Parameter("operate", True, "false: pages only watch, and the node commands nothing"),
+    Parameter("token_file", "", "file with the token that a page has to give to operate; empty: none"),
     Parameter("certificate", "", "PEM file with the certificate, for TLS; empty: none"),
     Parameter("key", "", "PEM file with the certificate's key"),
     Parameter(
         "page_heartbeat",
         0.0,
-        "s within which every page has to answer, at least 0.5; a lost page is a stop; 0: pages may come and go",
+        "s within which every page that operates has to answer, at least 0.5; a lost one is a stop; 0: pages may come "
+        "and go",
         minimum=0.0,
         maximum=60.0,
     ),
@@ -66,7 +73,9 @@ LOOK_PERIOD = 1.0
 """Seconds between looks for nodes and their services."""
 WAITING = 8
 """Actions that may wait for their turn."""
-DISPLAY_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+SAMPLES_PERIOD = 0.04
+"""Seconds between looks at the samples that have come."""
+DISPLAY_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Of the page's subscription to samples: it must not hold up a rig."""
 TYPES = {"change_state": ChangeState}
 
@@ -86,22 +95,31 @@ class OperatorPage(AbraceNode):
         if 0 < given.page_heartbeat < SHORTEST_HEARTBEAT:
             expected = f"expected 0, or at least {SHORTEST_HEARTBEAT:g}"
             raise AbraceError(f"parameter page_heartbeat: {given.page_heartbeat:g}, {expected}")
-        access = make_access(given.address, given.port, given.hosts, given.token_file, given.certificate, given.key)
+        if given.page_heartbeat and not given.operate:
+            raise AbraceError(f"parameter page_heartbeat: {given.page_heartbeat:g}, expected 0 with operate:=false")
+        access = make_access(
+            given.address, given.port, given.hosts, given.operate, given.token_file, given.certificate, given.key
+        )
         self.closing = threading.Event()
         self.operator = GraphOperator(self, self.let_pass)
         self.request = StopRequest(given.page_heartbeat)
-        self.server = PageServer(access, self, self.page_failed)
-        publisher = self.publish_on(Bool, STOP_TOPIC, TRANSIENT_LOCAL_QOS)
-        self.button = StopButton(self, publisher, lambda: bool(self.request.reason(time.monotonic())))
+        topics = (self.resolve_topic_name(name) for name in ("response", "robot_description"))
+        layout = foxglove_layout(self.rig.floors, self.rig.braces_in_group, *topics)
+        self.server = PageServer(access, self, {"/foxglove.json": (layout, "application/json")}, self.page_failed)
+        self.button: StopButton | None = None
+        if given.operate:
+            publisher = self.publish_on(Bool, STOP_TOPIC, TRANSIENT_LOCAL_QOS)
+            self.button = StopButton(self, publisher, lambda: bool(self.request.reason(time.monotonic())))
         self.asked = ""
         self.offers: dict[str, frozenset[str]] = {}
         self.rigs: list[str] = []
-        self.responses = Responses()
-        self.last: view.Last | None = None
+        self.reader = ResponseReader()
+        self.received: list[bytes] = []
+        self.last: tuple[Samples, float] | None = None
         self.traces, self.events = Traces(), view.Events()
         self.worker = ThreadPoolExecutor(1, "actions")
         self.waiting = threading.BoundedSemaphore(WAITING)
-        self.subscribe_to(Response, "response", self.on_response, DISPLAY_QOS, raw=True)
+        self.subscribe_to(Response, "response", self.received.append, DISPLAY_QOS, raw=True)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(WATCH_PERIOD, self.watch, clock=steady)
         self.create_timer(LOOK_PERIOD, self.look, clock=steady)
@@ -109,27 +127,36 @@ class OperatorPage(AbraceNode):
     def autostart(self) -> None:
         """Serve the page."""
         self.server.start()
+        self.due = time.monotonic()
         print(f"operator: the page is {self.server.access.url}", flush=True)
 
-    def on_response(self, payload: bytes) -> None:
-        """Take a sample."""
+    def tick(self) -> None:
+        """Take the samples that have come."""
+        self.due = max(time.monotonic(), (self.due or 0.0) + SAMPLES_PERIOD)
+        payloads = self.received.copy()
+        self.received.clear()
+        if not payloads:
+            return
         try:
-            stamp, head, values = self.responses.unpack(payload)
-            cause = "" if head.state in ACTING else self.responses.cause(payload)
+            samples = self.reader.read(payloads)
         except AbraceError:
             return  # of a type that this is not: the rig is shown as silent
-        floors, groups = self.responses.floors, self.responses.groups
-        self.traces.add(head.run, stamp, view.on_screen(values, floors, groups))
-        self.last = view.Last(head, cause, values, floors, groups, time.monotonic())
+        self.traces.add(samples.runs, samples.stamps, view.on_screen(samples))
+        self.last = samples, time.monotonic()
 
     def watch(self) -> None:
         """Publish at once that a stop is requested, or no longer requested."""
         reason = self.request.reason(time.monotonic())
         if reason != self.asked:
             self.asked = reason
-            self.button.publish()
+            self.press()
             self.note(f"STOP: {reason}" if reason else "STOP released", bool(reason))
             self.publish_diagnostics()
+
+    def press(self) -> None:
+        """Publish now whether the stop is pressed; from any thread."""
+        if self.button is not None:
+            self.button.publish()
 
     def look(self) -> None:
         """Look for nodes and what they offer; clients are made before they are needed."""
@@ -137,7 +164,7 @@ class OperatorPage(AbraceNode):
         self.rigs = self.operator.rigs()
         own = self.get_namespace().rstrip("/")
         for node, services in self.offers.items():
-            if node.rpartition("/")[0] == own:
+            if self.button is not None and node.rpartition("/")[0] == own:
                 for service in services:
                     self.operator.client(TYPES.get(service, Trigger), f"{node}/{service}")
                 if "change_state" in services:
@@ -154,12 +181,12 @@ class OperatorPage(AbraceNode):
 
     def frame(self, bins: int, events: int) -> dict[str, Any]:
         """What a page gets that has the `bins` and `events` up to these numbers."""
-        now, reports = time.monotonic(), NodeReports(self.operator.reports)
+        now, reports, last = time.monotonic(), NodeReports(self.operator.reports), self.last
         rigs = [name for name in self.rigs if name.rpartition("/")[0] == self.get_namespace().rstrip("/")]
         recorders = actions.recorders(self.offers, self.get_namespace())
         done = self.events.since(events)
         return {
-            "sample": view.sample_view(self.last, self.rig, now),
+            "sample": view.sample_view(last and last[0], now - last[1] if last else 0.0, self.rig),
             "stop": self.request.reason(now),
             "traces": self.traces.since(bins),
             "interlocks": view.interlock_view(next((reports[name] for name in rigs if name in reports), None)),
@@ -171,18 +198,18 @@ class OperatorPage(AbraceNode):
         }
 
     def hear(self, page: object) -> None:
-        """A page is there."""
+        """A page that operates is there."""
         self.request.hear(page, time.monotonic())
 
     def lose(self, page: object) -> None:
-        """A page is gone."""
+        """A page that operates is gone."""
         self.request.lose(page)
 
     def ask(self, action: str, node: str) -> None:
         """A person requests an `action`; STOP is published at once."""
         if action == "stop":
             self.request.press("pressed on the page")
-            self.button.publish()
+            self.press()
         elif action == "release":
             try:
                 self.request.release()
@@ -191,7 +218,7 @@ class OperatorPage(AbraceNode):
         elif not self.waiting.acquire(blocking=False):
             self.note(f"{action}: not done, {WAITING} others wait", True)
         else:
-            self.worker.submit(partial(self.act, action, node))
+            self.worker.submit(self.catching(self.act), action, node)
 
     # in the thread of actions
 
@@ -231,7 +258,7 @@ class OperatorPage(AbraceNode):
     def page_failed(self, error: BaseException) -> None:
         """The server's thread has died: STOP can no longer be pressed there."""
         self.request.press(f"the page's server has failed: {error}")
-        self.finish(1, f"{type(error).__name__}: {error}")
+        self.fail(error)
 
     def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
         """State for `/diagnostics`."""
@@ -248,7 +275,7 @@ class OperatorPage(AbraceNode):
         self.closing.set()
         self.worker.shutdown(cancel_futures=True)
         self.server.stop()
-        self.button.publish()
+        self.press()
 
 
 def main() -> int:

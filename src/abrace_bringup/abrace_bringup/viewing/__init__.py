@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of a rig to what a viewer in a browser shows: named channels, a moving building, forces; and their server."""
+"""The server to which Foxglove and Lichtblick connect, and their layout of a rig."""

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits and faults: the guard of every command, the state machine of faults and stops, checks of samples."""
+"""Limits and faults: the guard of every command, the states of faults and stops, the loop's messages."""

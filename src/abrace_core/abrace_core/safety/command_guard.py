@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike
 
-MOST_ON_THE_WAY = 500
+MOST_IN_FLIGHT = 500
 """Commands that are remembered."""
 
 
@@ -74,7 +74,7 @@ class CommandGuard:
     ----------
     value
         (groups,) [N], the force that acts; zero before the first command.
-    on_the_way
+    commands_in_flight
         Number of the last commands that the actuators may not have received yet; 0 unless set. The next one is within
         the rate limit of each of them and of the one before them, so that it makes no greater step whichever of them
         acts until then.
@@ -123,8 +123,8 @@ class CommandGuard:
         self._ramp = [(1 + math.cos(math.pi * j / steps)) / 2 for j in range(1, steps)]
         self.saturations = 0
         self.rate_limits = 0
-        self.on_the_way = 0
-        self._given: deque[list[float]] = deque(maxlen=MOST_ON_THE_WAY + 1)
+        self.commands_in_flight = 0
+        self._given: deque[list[float]] = deque(maxlen=MOST_IN_FLIGHT + 1)
         self.reset()
 
     def reset(self) -> None:
@@ -154,7 +154,7 @@ class CommandGuard:
         if command is not None:
             self._command = list(map(float, command))
         force, saturated, limited = [], False, False
-        within_reach = self._within_reach() if self.on_the_way else None
+        within_reach = self._within_reach() if self.commands_in_flight else None
         for i, asked in enumerate(self._command):
             wanted, most = asked * share, self._capacity[i]
             if wanted > most or wanted < -most:
@@ -214,9 +214,9 @@ class CommandGuard:
 
         Where they lie too far apart, as after a pause, the last one is kept.
         """
-        if not self.on_the_way:
+        if not self.commands_in_flight:
             return [(last - step, last + step) for last, step in zip(self.value, self._step, strict=True)]
-        groups = zip(*islice(reversed(self._given), self.on_the_way + 1), strict=True)
+        groups = zip(*islice(reversed(self._given), self.commands_in_flight + 1), strict=True)
         return [
             (min(max(given) - step, given[0]), max(min(given) + step, given[0]))
             for given, step in zip(groups, self._step, strict=True)

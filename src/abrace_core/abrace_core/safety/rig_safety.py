@@ -2,7 +2,7 @@
 """The state machine that decides whether commands act on a rig, common to table and braces, without ROS.
 
 Every rig, simulated or real, has one. Each node that commands the rig has another one for its own commands, and reads
-the rig's state from every sample. `TRANSITIONS` alone defines the transitions, for every state and every event.
+the rig's state from every sample. `TRANSITIONS` alone defines the transitions; docs/rig.md shows them.
 """
 
 from __future__ import annotations
@@ -11,14 +11,24 @@ import math
 from enum import Enum, IntEnum
 from typing import TYPE_CHECKING, Protocol
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 from abrace_core.safety.stop_senders import UNNAMED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 RAMP_TIME = 0.5
-"""Seconds in which forces ramp down to zero, and in which they fade in after a fault has been cleared."""
+"""Seconds in which forces ramp down to zero, the table stops if its limits allow, and commands fade in after `activate`
+or `clear`."""
+REST_TIME = 0.2
+"""Seconds after the ramp within which what is measured has to be at rest."""
+STOPPED = "protective stop: "
+"""Beginning of the cause of a stop; the senders that press it follow."""
+
+NOT_AT_REST = "not at rest after the ramp: "
+"""The same of what is measured then; it is added to the first cause."""
+NOT_MEASURED = "not yet known to be at rest: "
+"""The same of why a fault is not cleared, a moment after a stop."""
 
 
 class State(IntEnum):
@@ -31,6 +41,8 @@ class State(IntEnum):
     RAMPING_DOWN = 4
     LATCHED = 5
     PROTECTIVE_STOP = 6
+    ARMING = 7
+    NOT_AT_REST = 8
 
     @property
     def words(self) -> str:
@@ -55,87 +67,94 @@ class Event(Enum):
     CLEAR_UNCONFIGURED = "clear_fault while unconfigured"
     CLEAR_INACTIVE = "clear_fault while inactive"
     CLEAR_ACTIVE = "clear_fault while active"
+    ARMED = "the target is armed"
     FADED_IN = "the fade is over"
     AT_REST = "all at rest, no fault"
     AT_REST_FAULT = "all at rest after a fault"
     AT_REST_STOP = "all at rest, a stop pressed"
+    FORCE_MEASURED = "a force is measured after the ramp"
 
 
-_CLEARS = (Event.CLEAR_UNCONFIGURED, Event.CLEAR_INACTIVE, Event.CLEAR_ACTIVE)
-
-
-def _row(state: State, refused: Mapping[Event, str] | None = None, **leads: State) -> dict[Event, State | str]:
-    """The outcomes of all events in a `state`: next states (`leads`), reasons (`refused`); others change nothing."""
-    row: dict[Event, State | str] = dict.fromkeys(Event, state)
-    row.update({Event[name]: following for name, following in leads.items()})
-    row.update(refused or {})
-    return row
-
-
-_NO_FAULT = dict.fromkeys(_CLEARS, "no fault")
-_LIFE_CYCLE = (Event.CONFIGURE, Event.CLEAN_UP, Event.ACTIVATE, Event.DEACTIVATE)
-_ACTIVE = dict.fromkeys((Event.CONFIGURE, Event.CLEAN_UP, Event.ACTIVATE), "active")
+_ACTIVE: Mapping[Event, State | str] = {
+    Event.CONFIGURE: "active",
+    Event.CLEAN_UP: "active",
+    Event.ACTIVATE: "active",
+    Event.CLEAR_ACTIVE: "no fault",
+}
+_ACTING: Mapping[Event, State | str] = {
+    **_ACTIVE,
+    Event.DEACTIVATE: State.RAMPING_DOWN,
+    Event.FAULT: State.RAMPING_DOWN,
+    Event.STOP: State.RAMPING_DOWN,
+}
 
 TRANSITIONS: Mapping[State, Mapping[Event, State | str]] = {
-    State.UNCONFIGURED: _row(
-        State.UNCONFIGURED,
-        {**_NO_FAULT, **dict.fromkeys((Event.CLEAN_UP, Event.ACTIVATE, Event.DEACTIVATE), "unconfigured")},
-        CONFIGURE=State.STANDBY,
-        FAULT=State.LATCHED,
-        STOP=State.PROTECTIVE_STOP,
-    ),
-    State.STANDBY: _row(
-        State.STANDBY,
-        {**_NO_FAULT, **dict.fromkeys((Event.CONFIGURE, Event.DEACTIVATE), "inactive")},
-        CLEAN_UP=State.UNCONFIGURED,
-        ACTIVATE=State.RUNNING,
-        FAULT=State.LATCHED,
-        STOP=State.PROTECTIVE_STOP,
-    ),
-    State.FADING_IN: _row(
-        State.FADING_IN,
-        {**_NO_FAULT, **_ACTIVE},
-        DEACTIVATE=State.RAMPING_DOWN,
-        FAULT=State.RAMPING_DOWN,
-        STOP=State.RAMPING_DOWN,
-        FADED_IN=State.RUNNING,
-    ),
-    State.RUNNING: _row(
-        State.RUNNING,
-        {**_NO_FAULT, **_ACTIVE},
-        DEACTIVATE=State.RAMPING_DOWN,
-        FAULT=State.RAMPING_DOWN,
-        STOP=State.RAMPING_DOWN,
-    ),
-    State.RAMPING_DOWN: _row(
-        State.RAMPING_DOWN,
-        {
-            **dict.fromkeys(_CLEARS, "still ramping down"),
-            **dict.fromkeys((Event.CONFIGURE, Event.CLEAN_UP, Event.ACTIVATE), "still ramping down"),
-        },
-        AT_REST=State.STANDBY,
-        AT_REST_FAULT=State.LATCHED,
-        AT_REST_STOP=State.PROTECTIVE_STOP,
-    ),
-    # life cycle transitions end neither a fault nor a stop: all are allowed except those after which commands would act
-    State.LATCHED: _row(
-        State.LATCHED,
-        {Event.ACTIVATE: "a fault is latched, expected a person to clear it first"},
-        STOP=State.PROTECTIVE_STOP,
-        CLEAR_UNCONFIGURED=State.UNCONFIGURED,
-        CLEAR_INACTIVE=State.STANDBY,
-        CLEAR_ACTIVE=State.FADING_IN,
-    ),
-    State.PROTECTIVE_STOP: _row(
-        State.PROTECTIVE_STOP,
-        {
-            Event.ACTIVATE: "a stop is pressed, expected it to be released and cleared first",
-            **dict.fromkeys(_CLEARS, "a stop is still pressed"),
-        },
-        RELEASE=State.LATCHED,
-    ),
+    State.UNCONFIGURED: {
+        Event.CONFIGURE: State.STANDBY,
+        Event.CLEAN_UP: "unconfigured",
+        Event.ACTIVATE: "unconfigured",
+        Event.DEACTIVATE: "unconfigured",
+        Event.FAULT: State.LATCHED,
+        Event.STOP: State.PROTECTIVE_STOP,
+        Event.CLEAR_UNCONFIGURED: "no fault",
+    },
+    State.STANDBY: {
+        Event.CONFIGURE: "inactive",
+        Event.CLEAN_UP: State.UNCONFIGURED,
+        Event.ACTIVATE: State.ARMING,
+        Event.FAULT: State.LATCHED,
+        Event.STOP: State.PROTECTIVE_STOP,
+        Event.CLEAR_INACTIVE: "no fault",
+    },
+    State.ARMING: {
+        **_ACTIVE,
+        Event.DEACTIVATE: State.STANDBY,
+        Event.FAULT: State.LATCHED,
+        Event.STOP: State.PROTECTIVE_STOP,
+        Event.ARMED: State.FADING_IN,
+    },
+    State.FADING_IN: {**_ACTING, Event.FADED_IN: State.RUNNING},
+    State.RUNNING: _ACTING,
+    State.RAMPING_DOWN: {
+        Event.CONFIGURE: "still ramping down",
+        Event.CLEAN_UP: "still ramping down",
+        Event.ACTIVATE: "still ramping down",
+        Event.CLEAR_INACTIVE: "still ramping down",
+        Event.CLEAR_ACTIVE: "still ramping down",
+        Event.AT_REST: State.STANDBY,
+        Event.AT_REST_FAULT: State.LATCHED,
+        Event.AT_REST_STOP: State.PROTECTIVE_STOP,
+        Event.FORCE_MEASURED: State.NOT_AT_REST,
+    },
+    # the life cycle ends neither a fault nor a stop: every change is allowed but the one after which commands would act
+    State.LATCHED: {
+        Event.ACTIVATE: "a fault is latched, expected a person to clear it first",
+        Event.STOP: State.PROTECTIVE_STOP,
+        Event.CLEAR_UNCONFIGURED: State.UNCONFIGURED,
+        Event.CLEAR_INACTIVE: State.STANDBY,
+        Event.CLEAR_ACTIVE: State.ARMING,
+        Event.FORCE_MEASURED: State.NOT_AT_REST,
+    },
+    State.PROTECTIVE_STOP: {
+        Event.ACTIVATE: "a stop is pressed, expected it to be released and cleared first",
+        Event.RELEASE: State.LATCHED,
+        Event.CLEAR_UNCONFIGURED: "a stop is still pressed",
+        Event.CLEAR_INACTIVE: "a stop is still pressed",
+        Event.CLEAR_ACTIVE: "a stop is still pressed",
+        Event.FORCE_MEASURED: State.NOT_AT_REST,
+    },
+    State.NOT_AT_REST: {
+        Event.CONFIGURE: "not at rest",
+        Event.CLEAN_UP: State.LATCHED,
+        Event.ACTIVATE: "not at rest",
+        Event.CLEAR_INACTIVE: "not at rest",
+        Event.CLEAR_ACTIVE: "not at rest",
+        Event.AT_REST_FAULT: State.LATCHED,
+        Event.AT_REST_STOP: State.PROTECTIVE_STOP,
+    },
 }
-"""By state and event: the next state, or the reason why the event is refused."""
+"""By state and event: the next state, or the reason why the event is refused; an event that is not there changes
+nothing."""
 
 
 class Output(Protocol):
@@ -179,11 +198,14 @@ class RigSafety:
     state
         The present state.
     cause
-        Cause of the first fault or stop since a person cleared the last one; empty: none.
+        Cause of the first fault or stop since a person cleared the last one, and what was measured after the ramp;
+        empty: none.
     pressed
         The senders that press a stop; empty: none.
     outputs
         The outputs given to `configure`.
+    measured
+        What was measured last that is not at rest; empty: all is at rest, or nobody measures.
     """
 
     def __init__(self) -> None:
@@ -196,6 +218,9 @@ class RigSafety:
         self._faded = 0
         self._entered = False
         """Whether the state is new since the last sample."""
+        self.measured = ""
+        self._rest_samples = self._otherwise = 0
+        """Samples of REST_TIME, and how many in a row have measured something else than the state says."""
 
     @property
     def acting(self) -> bool:
@@ -204,12 +229,15 @@ class RigSafety:
 
     @property
     def at_rest(self) -> bool:
-        """Whether no command acts and no ramp to rest is in progress."""
-        return self.state not in (*ACTING, State.RAMPING_DOWN)
+        """Whether no command acts, no ramp to rest is in progress, and no force has been measured after one."""
+        return self.state not in (*ACTING, State.RAMPING_DOWN, State.NOT_AT_REST)
+
+    def _outcome(self, event: Event) -> State | str:
+        return TRANSITIONS[self.state].get(event, self.state)
 
     def _take(self, event: Event) -> None:
         """Take the transition of an event; an AbraceError gives the reason for a refusal."""
-        outcome = TRANSITIONS[self.state][event]
+        outcome = self._outcome(event)
         if isinstance(outcome, str):
             raise AbraceError(f"{outcome}{f' ({self.cause})' if self.cause else ''}")
         before, self.state = self.state, outcome
@@ -220,8 +248,8 @@ class RigSafety:
         elif outcome is State.FADING_IN and before is not outcome:
             self._faded = 0
 
-    def configure(self, outputs: Sequence[Output], sample_period: float) -> None:
-        """Take over the `outputs` of a rig with this `sample_period` [s].
+    def configure(self, outputs: Sequence[Output], sample_period: float, fade_time: float = RAMP_TIME) -> None:
+        """Take over the `outputs` of a rig with this `sample_period` [s]; commands fade in within `fade_time` [s].
 
         Raises
         ------
@@ -231,49 +259,78 @@ class RigSafety:
         self._take(Event.CONFIGURE)
         self._life = State.STANDBY
         self.outputs = outputs
-        steps = round(RAMP_TIME / sample_period)
+        self.measured = ""
+        self._rest_samples = round(REST_TIME / sample_period)
+        steps = round(fade_time / sample_period)
         self._fade = [(1 - math.cos(math.pi * j / steps)) / 2 for j in range(1, steps)]
 
     def activate(self) -> None:
-        """Let commands act, from rest."""
+        """Ask for commands to act: `begin` lets them."""
         self._take(Event.ACTIVATE)
         self._life = State.RUNNING
+
+    def begin(self, moving: str = "") -> None:
+        """Report that the target is armed: after `activate` or `clear` commands now fade in, from rest.
+
+        `moving` is as for `clear`. That, or anything that is measured, is a fault instead.
+        """
+        if self.state is not State.ARMING:
+            return
+        if problem := self._not_at_rest(moving):
+            self.fault(problem)
+            return
+        self._take(Event.ARMED)
         for output in self.outputs:
             output.reset()
+        if not self._fade:
+            self._take(Event.FADED_IN)
+
+    def _not_at_rest(self, moving: str) -> str:
+        """Why commands may not act yet: `moving`, or what is measured; empty: they may."""
+        return moving or (f"measured {self.measured}, expected the rig at rest first" if self.measured else "")
 
     def deactivate(self) -> None:
         """Begin to come to rest; `at_rest` is true when that is done."""
         self._take(Event.DEACTIVATE)
         self._life = State.STANDBY
 
+    def stay_active(self, cause: str) -> None:
+        """Take back `deactivate`: the rig has not come to rest, with this `cause`, and is latched when it does."""
+        self._life = State.RUNNING
+        self.cause = self.cause or cause
+
     def clean_up(self) -> None:
-        """Release the outputs; a fault stays latched."""
+        """Release the outputs; a fault stays latched, and a stop pressed."""
+        unheard = self.state is State.NOT_AT_REST and self.pressed
         self._take(Event.CLEAN_UP)
         self._life = State.UNCONFIGURED
-        self.outputs = ()
+        self.outputs, self.measured = (), ""
+        if unheard:
+            self._take(Event.STOP)
 
     def fault(self, cause: str) -> None:
         """Report a fault: all outputs come to rest until a person clears it; the first cause is kept."""
         self.cause = self.cause or cause
         self._take(Event.FAULT)
 
-    def stop(self, who: str) -> None:
-        """Report that the senders named in `who` press a stop; empty: the last stop has been released."""
-        if who:
-            # the sender's name may become known after its message
-            renamed = UNNAMED in self.pressed and self.cause == f"protective stop: {self.pressed}"
-            if not self.cause or renamed:
-                self.cause = f"protective stop: {who}"
-            self.pressed = who
-            self._take(Event.STOP)
-        elif self.pressed:
-            self.pressed = ""
-            self._take(Event.RELEASE)
+    def press(self, who: str) -> None:
+        """Report that the senders named in `who` press a stop."""
+        # the sender's name may become known after its message
+        renamed = UNNAMED in self.pressed and self.cause == f"{STOPPED}{self.pressed}"
+        if not self.cause or renamed:
+            self.cause = f"{STOPPED}{who}"
+        self.pressed = who
+        self._take(Event.STOP)
+
+    def release(self) -> None:
+        """Report that no sender presses a stop any more."""
+        self.pressed = ""
+        self._take(Event.RELEASE)
 
     def clear(self, moving: str = "") -> str:
-        """Clear the fault, by a person's request; commands then fade in. Returns the cause that was cleared.
+        """Clear the fault, by a person's request; an active rig then arms. Returns the cause that was cleared.
 
-        `moving` names the input that is not at rest; empty: all are at rest.
+        `moving` says which input is not at rest, or what else keeps commands from acting; empty: nothing does.
 
         Raises
         ------
@@ -285,12 +342,9 @@ class RigSafety:
             State.STANDBY: Event.CLEAR_INACTIVE,
             State.RUNNING: Event.CLEAR_ACTIVE,
         }[self._life]
-        outcome = TRANSITIONS[self.state][event]
-        if moving and not isinstance(outcome, str):
-            raise AbraceError(f"{moving}, expected every input at rest first")
+        if not isinstance(self._outcome(event), str) and (problem := self._not_at_rest(moving)):
+            raise AbraceError(problem)
         self._take(event)
-        for output in self.outputs:
-            output.reset()
         cause, self.cause = self.cause, ""
         return cause
 
@@ -309,18 +363,18 @@ class RigSafety:
                 if command is not None and (problem := output.problem(command)):
                     self.fault(problem)
                     break
-        since = samples
-        # a new ramp or fade advances by one sample, even if samples were lost before this one
-        samples, self._entered = 1 if self._entered else samples, False
-        # a ramp to rest counts those that it advances by
-        if since > 1 and (held := since - (samples if self.state is State.RAMPING_DOWN else 1)):
+        # a ramp or fade that begins with this sample has made one step, however many samples were missed before
+        steps, self._entered = 1 if self._entered else samples, False
+        # the sample periods in which the last values went on acting
+        held = samples - (steps if self.state is State.RAMPING_DOWN else 1)
+        if held > 0:
             for output in self.outputs:
                 output.hold(held)
         if self.state is State.RUNNING:
             for output, command in zip(self.outputs, commands, strict=True):
                 output.follow(command, 1.0)
         elif self.state is State.FADING_IN:
-            self._faded += samples
+            self._faded += steps
             share = self._fade[self._faded - 1] if self._faded <= len(self._fade) else 1.0
             for output, command in zip(self.outputs, commands, strict=True):
                 output.follow(command, share)
@@ -328,7 +382,7 @@ class RigSafety:
                 self._take(Event.FADED_IN)
         elif self.state is State.RAMPING_DOWN:
             for output in self.outputs:
-                output.come_to_rest(samples)
+                output.come_to_rest(steps)
             self._look_for_rest()
 
     def rest(self) -> None:
@@ -337,6 +391,45 @@ class RigSafety:
             output.reset()
         self._look_for_rest()
 
+    def look(self, measured: str, samples: int = 1) -> None:
+        """Compare what the load cells and the table show with the state, at each sample.
+
+        Parameters
+        ----------
+        measured
+            What is not at rest, as text; empty: all is.
+        samples
+            Sample periods since the last call.
+        """
+        self.measured = measured
+        ramping = self.state is State.RAMPING_DOWN
+        if ramping and not measured:
+            self._look_for_rest()
+        elif self.state in (State.LATCHED, State.PROTECTIVE_STOP, State.NOT_AT_REST) or (ramping and self._still):
+            as_it_says = bool(measured) is (self.state is State.NOT_AT_REST)
+            self._otherwise = 0 if as_it_says else self._otherwise + samples
+            if self._otherwise > self._rest_samples:
+                self._otherwise = 0
+                if measured:
+                    if NOT_AT_REST not in self.cause:
+                        self.cause = "; ".join(filter(None, (self.cause, f"{NOT_AT_REST}{measured}")))
+                    self._take(Event.FORCE_MEASURED)
+                else:
+                    self._take(self._rest)
+        else:
+            self._otherwise = 0
+
+    @property
+    def _still(self) -> bool:
+        """Whether all outputs have come to rest."""
+        return all(output.at_rest for output in self.outputs)
+
+    @property
+    def _rest(self) -> Event:
+        """The event with which all comes to rest now."""
+        return Event.AT_REST_STOP if self.pressed else Event.AT_REST_FAULT if self.cause else Event.AT_REST
+
     def _look_for_rest(self) -> None:
-        if self.state is State.RAMPING_DOWN and all(output.at_rest for output in self.outputs):
-            self._take(Event.AT_REST_STOP if self.pressed else Event.AT_REST_FAULT if self.cause else Event.AT_REST)
+        if self.state is State.RAMPING_DOWN and self._still and not self.measured:
+            self._otherwise = 0
+            self._take(self._rest)

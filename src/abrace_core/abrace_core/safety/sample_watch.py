@@ -11,12 +11,51 @@ LONGEST_GAP = 5
 NEW_RUN, OLD = -1, -2
 """What `SampleWatch.update` returns instead of a number of lost samples."""
 
-_RATE_SAMPLES, _RATE_TOLERANCE = 50, 0.3
-"""Number of samples over which the rate is checked, since single stamps vary; and the greatest error of the rate."""
-_FINE_SAMPLES, _FINE_TOLERANCE = 500, 0.02
-"""The same for small errors, a fault only twice in a row: one late stamp changes two rates, in opposite directions."""
+RATE_CHECKS = (25, 0.3), (500, 0.02)
+"""Numbers of samples over which the rate is measured, and the greatest error of each: a large error is found early."""
 _KEPT_RUNS = 1000
 """Number of earlier runs that are remembered."""
+
+
+class _RateCheck:
+    """Compares the mean sample period of the last `samples` with the expected `period` [ns], at every sample.
+
+    A sample that is late, a rig that was delayed, and a clock that was set change at most `samples` of these means in
+    one direction. Only more of them in a row, all wrong in the same direction, are a wrong rate.
+    """
+
+    def __init__(self, period: float, samples: int, tolerance: float) -> None:
+        self._period, self._samples, self._tolerance = period, samples, tolerance
+        self._received: deque[tuple[int, int]] = deque(maxlen=samples + 1)
+        self._wrong_in_a_row = 0
+
+    def update(self, sequence: int, stamp: int) -> str | None:
+        """Why the rate is wrong at this sample, its `stamp` in ns; None: it is not."""
+        received = self._received
+        received.append((sequence, stamp))
+        if len(received) <= self._samples:
+            return None
+        first, since = received[0]
+        mean = (stamp - since) / (sequence - first)
+        error = mean / self._period - 1
+        if abs(error) <= self._tolerance:
+            self._wrong_in_a_row = 0
+        elif error > 0:
+            self._wrong_in_a_row = max(self._wrong_in_a_row, 0) + 1
+        else:
+            self._wrong_in_a_row = min(self._wrong_in_a_row, 0) - 1
+        if abs(self._wrong_in_a_row) <= self._samples:
+            return None
+        self.restart()
+        return (
+            f"samples {first} to {sequence} come {mean * 1e-6:g} ms apart, "
+            f"expected {self._period * 1e-6:g} ms (sample rate)"
+        )
+
+    def restart(self) -> None:
+        """Forget the samples so far."""
+        self._received.clear()
+        self._wrong_in_a_row = 0
 
 
 class SampleWatch:
@@ -43,11 +82,8 @@ class SampleWatch:
 
     def __init__(self, sample_period: float, longest_gap: int = LONGEST_GAP) -> None:
         self._longest_gap = longest_gap
-        self._period = sample_period * 1e9
         self._earlier: deque[int] = deque(maxlen=_KEPT_RUNS)
-        self._rate_from: tuple[int, int] | None = None
-        self._fine_from: tuple[int, int] | None = None
-        self._fine_error = 0.0
+        self._rate_checks = [_RateCheck(sample_period * 1e9, *check) for check in RATE_CHECKS]
         self.run = self.sequence = -1
         self.missing = self.old = 0
         self.problem: str | None = None
@@ -78,8 +114,8 @@ class SampleWatch:
             if self.run >= 0 and not goes_on:
                 self._earlier.append(self.run)
             self.run, self.sequence, self.problem = run, sequence, None
-            self._rate_from = self._fine_from = None
-            self._fine_error = 0.0
+            for check in self._rate_checks:
+                check.restart()
             return NEW_RUN
         if sequence <= self.sequence:
             self.old += 1
@@ -90,30 +126,11 @@ class SampleWatch:
         self.problem = None
         if lost > self._longest_gap:
             self.problem = f"{lost} samples lost before sample {sequence}, at most {self._longest_gap} can be bridged"
-        # from the second sample on: the first ones of a rig may be delayed
-        first, since = self._rate_from = self._rate_from or (sequence, stamp)
-        if sequence - first >= _RATE_SAMPLES:
-            self._rate_from = sequence, stamp
-            problem = self._wrong_rate(first, since, sequence, stamp)
+        # from the second sample on: the first one of a rig may be delayed
+        for check in self._rate_checks:
+            problem = check.update(sequence, stamp)
             self.problem = self.problem or problem
         return lost
-
-    def _wrong_rate(self, first: int, since: int, sequence: int, stamp: int) -> str | None:
-        """Why the rate is wrong, either since the last check, or slightly in the last two long intervals."""
-        period = (stamp - since) / (sequence - first)
-        wrong = abs(period - self._period) > _RATE_TOLERANCE * self._period
-        fine_first, fine_since = self._fine_from = self._fine_from or (first, since)
-        if not wrong and sequence - fine_first >= _FINE_SAMPLES:
-            self._fine_from = sequence, stamp
-            first, period = fine_first, (stamp - fine_since) / (sequence - fine_first)
-            before, self._fine_error = self._fine_error, period / self._period - 1
-            wrong = min(abs(before), abs(self._fine_error)) > _FINE_TOLERANCE and before * self._fine_error > 0
-        if not wrong:
-            return None
-        return (
-            f"samples {first} to {sequence} come {period * 1e-6:g} ms apart, "
-            f"expected {self._period * 1e-6:g} ms (sample rate)"
-        )
 
     def restart(self) -> None:
         """Treat the next sample as the first one of its run."""

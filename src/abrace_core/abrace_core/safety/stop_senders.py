@@ -70,7 +70,7 @@ class StopSenders:
         """The senders that ask for a stop and are UNNAMED."""
         return tuple(sender for sender, one in self._senders.items() if one.pressed and one.name == UNNAMED)
 
-    def who(self, now: float) -> str:
+    def pressed_by(self, now: float) -> str:
         """The senders that ask for a stop at `now` [s], as text; empty: none."""
         asking = [f"pressed by {one.name}" for one in self._senders.values() if one.pressed]
         if self._heartbeat:

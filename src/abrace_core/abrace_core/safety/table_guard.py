@@ -39,6 +39,8 @@ class TableGuard:
         Whether the last acceleration was limited.
     limits
         Number of samples so far with a limited acceleration.
+    lost
+        Whether the displacement is unknown: the device failed, or its target stopped, while the table moved.
     """
 
     def __init__(self, table: Table, sample_period: float) -> None:
@@ -46,6 +48,7 @@ class TableGuard:
         self._step = table.peak_jerk * sample_period
         self._still, self._slow = 0.0, DRIFT * table.peak_velocity
         self.limits = 0
+        self.lost = False
         self.state = TableState(sample_period)
         self.reset()
 
@@ -55,6 +58,12 @@ class TableGuard:
         self.value = self._command = [0.0]
         self._stop: TableStop | None = None
         self.limited = False
+
+    def place(self, displacement: float) -> None:
+        """Set the table to rest at the `displacement` that is measured [m]."""
+        self.state = TableState(self._period, displacement)
+        self.lost = False
+        self.reset()
 
     def problem(self, command: Sequence[float]) -> str | None:
         """Why a `command` (1,), an acceleration [m/s^2], cannot act; None: it can act."""

@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from abrace_core.safety.rig_safety import RAMP_TIME
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-RAMP_TIME = 0.5
-"""Seconds of a stop, if the table's limits allow."""
 LONGEST = 3.06
 """Greatest duration of a stop [s], unless even the stop of least time takes longer."""
 MARGIN = 0.99
@@ -31,7 +31,7 @@ MARGIN = 0.99
 
 _POWERS = sorted(range(-34, 20), key=abs)
 _TIMES = RAMP_TIME * 1.1 ** np.array(_POWERS, dtype=np.float64)
-"""(times,) from 0.02 to 3.06 s, tried in this order: the nearest to 0.5 s first [s]."""
+"""(times,) from 0.02 to 3.06 s, tried in this order: the nearest to RAMP_TIME first [s]."""
 _SHARE = np.linspace(0, 1, 65)
 _RISE, _BUMP = (1 + np.cos(np.pi * _SHARE)) / 2, (1 - np.cos(2 * np.pi * _SHARE)) / 2
 """Half cosine and raised cosine over a stop; the integral of each is 1/2."""

@@ -9,32 +9,38 @@ sensors change together: S is that of the loop [U; y] = [[0, K], [G/z, 0]] [U; y
 
 mu is bounded from above by the least sigma_max(D M D^-1) over diagonal D that a gradient descent finds, so that the
 margin is never overestimated; up to three signals the bound can be met exactly (Doyle 1982).
+
+python-control's `disk_margins` is of the commands or of the sensors, not of both, and of several signals needs SLICOT
+(slycot, GPL). S - I has only twice the rank of the smaller one of commands and sensors: with one command and fifty
+sensors the descent is over matrices of four rows.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pydantic
 
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import takes_models
+from abrace_core import AbraceError
+from abrace_core.files.config_file import Number  # noqa: TC001  pydantic reads it
+from abrace_core.model.linear_model import takes_models
 from abrace_lqg.loop import Loop
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from abrace_core.linear_model import LinearModel
+    from abrace_core.model.linear_model import LinearModel
 
 DESCENT_STEPS = 60
-"""Of the gradient descent over D."""
+"""Steps of the gradient descent over D."""
 
 LIKELY = 8
 """Number of frequencies, those with the greatest first bounds, that are refined first; then twice as many, ..."""
 
 SPACING = 16
-"""For the first bounds D is computed at every 16th frequency: any D gives a bound."""
+"""Every 16th frequency has a D of its own for the first bounds: any D gives a bound."""
 
 BALANCING_SWEEPS = 20
 """Sweeps that bring rows and columns to one size."""
@@ -58,23 +64,25 @@ class DiskMargin:
         At which it is least [rad/s].
     """
 
-    alpha: float
+    alpha: Number
     frequency: float
 
+    @pydantic.computed_field  # type: ignore[prop-decorator]
     @property
-    def gain(self) -> float:
+    def gain_db(self) -> Number:
         """Tolerated change of gain of all signals at once, up or down [dB]."""
         return float(20 * np.log10((2 + self.alpha) / (2 - self.alpha))) if self.alpha < 2 else np.inf
 
+    @pydantic.computed_field  # type: ignore[prop-decorator]
     @property
-    def phase(self) -> float:
+    def phase_deg(self) -> Number:
         """Tolerated change of phase of all signals at once, either way [degrees]."""
         return float(np.degrees(2 * np.arctan(self.alpha / 2)))
 
     def __str__(self) -> str:
         return (
-            f"disk margin {self.alpha:.2f} at {self.frequency:.1f} rad/s: {self.gain:.1f} dB or {self.phase:.0f} deg "
-            "in all signals at once"
+            f"disk margin {self.alpha:.2f} at {self.frequency:.1f} rad/s: {self.gain_db:.1f} dB or "
+            f"{self.phase_deg:.0f} deg in all signals at once"
         )
 
 
@@ -98,55 +106,86 @@ def disk_margin(model: LinearModel, controller: LinearModel, below: float = np.i
     if not loop.is_stable:
         raise AbraceError("disk margin: the closed loop is not stable")
     omega = loop.frequencies()
-    plant, law = loop.components(omega)
-    size, commands = len(loop.signals), law.shape[1]
-    open_loop = np.zeros((len(omega), size, size), dtype=np.complex128)
-    open_loop[:, :commands, commands:], open_loop[:, commands:, :commands] = law, plant
-    matrix = np.asarray(np.linalg.inv(np.eye(size) - open_loop) - np.eye(size) / 2, dtype=np.complex128)
-    bound = norm_bound(matrix, perron_scaling(matrix[::SPACING])[np.arange(len(omega)) // SPACING])
+    matrices = _Matrices.of(*loop.components(omega))
+    spaced = perron_scaling(matrices.at(slice(None, None, SPACING)).full())
+    bound, _ = matrices.norms(spaced[np.arange(len(omega)) // SPACING])
     order = np.argsort(-bound)
     peak, worst, first, batch = 1 / below, order[0], 0, LIKELY
     # the frequencies with the greatest bounds are refined first, until those that are left are below the peak found
     while first < len(order) and bound[order[first]] >= peak:
         chosen = order[first : first + batch]
-        refined = descended(matrix[chosen], perron_scaling(matrix[chosen]), DESCENT_STEPS, peak)
-        if refined.max() > peak:
+        refined = _descended(matrices.at(chosen), DESCENT_STEPS, peak)
+        if not refined.max() <= peak:  # NaN stays
             peak, worst = float(refined.max()), chosen[np.argmax(refined)]
         first, batch = first + batch, 2 * batch
     return DiskMargin(1 / peak, float(omega[worst]))
 
 
-def structured_bound(matrix: NDArray[np.complex128], descent_steps: int) -> NDArray[np.float64]:
-    """Upper bound (matrices,) of mu of each matrix, for a diagonal complex perturbation.
+class _Matrices(NamedTuple):
+    """Matrices M = shift I + left right.
 
     Parameters
     ----------
-    matrix
-        Matrices M (matrices, signals, signals).
-    descent_steps
-        From `perron_scaling` on.
+    left, right
+        (matrices, signals, rank) and (matrices, rank, signals).
     """
-    return descended(matrix, perron_scaling(matrix), descent_steps)
 
+    shift: float
+    left: NDArray[np.complex128]
+    right: NDArray[np.complex128]
 
-def norm_bound(matrix: NDArray[np.complex128], scaling: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Upper bound (matrices,) of sigma_max(D M D^-1): the 16th root of the sum of the singular values' 16th powers.
+    @classmethod
+    def of(cls, plant: NDArray[np.complex128], law: NDArray[np.complex128]) -> _Matrices:
+        """S - I/2 of the loop of `plant` (frequencies, sensors, commands) and `law` (frequencies, commands, sensors).
 
-    It needs only products of matrices, and is at most 1.3 times sigma_max for up to 64 signals.
+        [[0, K], [G, 0]] is the product left @ right of a block diagonal and its blocks' places, and S = I + left (I -
+        right left)^-1 right.
+        """
+        count, sensors, commands = plant.shape
+        few = min(sensors, commands)
+        left = np.zeros((count, commands + sensors, 2 * few), dtype=np.complex128)
+        right = np.zeros((count, 2 * few, commands + sensors), dtype=np.complex128)
+        eye = np.eye(few)
+        left[:, :commands, :few], left[:, commands:, few:] = (eye, plant) if few == commands else (law, eye)
+        right[:, :few, commands:], right[:, few:, :commands] = (law, eye) if few == commands else (eye, plant)
+        return cls(0.5, left, np.linalg.solve(np.eye(2 * few) - right @ left, right))
 
-    Parameters
-    ----------
-    matrix
-        Matrices M (matrices, signals, signals).
-    scaling
-        Logarithms of the diagonal D (matrices, signals).
-    """
-    scale = np.exp(scaling)
-    rescaled = matrix * (scale[:, :, None] / scale[:, None, :])
-    power = rescaled.conj().swapaxes(1, 2) @ rescaled
-    for _ in range(2):
-        power = power @ power
-    return np.asarray(np.linalg.norm(power, axis=(1, 2)) ** (1 / 8))
+    def at(self, chosen: Any) -> _Matrices:
+        """The matrices with these places."""
+        return _Matrices(self.shift, self.left[chosen], self.right[chosen])
+
+    def full(self) -> NDArray[np.complex128]:
+        """(matrices, signals, signals)."""
+        return self.shift * np.eye(self.left.shape[1]) + self.left @ self.right
+
+    def norms(self, scaling: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """sigma_max(D M D^-1) of each, and its gradient.
+
+        Parameters
+        ----------
+        scaling
+            Logarithms of the diagonal D (matrices, signals).
+
+        Returns
+        -------
+        norms, gradients
+            (matrices,), and (matrices, signals) of the norm's logarithm by those of D: |u_i|^2 - |v_i|^2 with the first
+            singular vectors u and v.
+        """
+        scale, (signals, rank) = np.exp(scaling), self.left.shape[1:]
+        left, right = self.left * scale[:, :, None], self.right / scale[:, None, :]
+        basis = None
+        if 2 * rank < signals:  # M and its transpose keep the columns' space; outside it M is shift I
+            basis, upper = np.linalg.qr(np.concatenate([left, right.conj().swapaxes(1, 2)], axis=2))
+            left, right = upper[:, :, :rank], upper[:, :, rank:].conj().swapaxes(1, 2)
+        matrix = self.shift * np.eye(left.shape[1]) + left @ right
+        # the greatest singular value and its vectors, of the Hermitian product: a third of the work of all
+        squares, vectors = np.linalg.eigh(matrix.conj().swapaxes(1, 2) @ matrix)
+        sigma, v = np.sqrt(squares[:, -1]), vectors[:, :, -1:]
+        u = matrix @ v / sigma[:, None, None]
+        if basis is not None:
+            u, v = basis @ u, basis @ v
+        return sigma, (np.abs(u) ** 2 - np.abs(v) ** 2)[:, :, 0]
 
 
 def perron_scaling(matrix: NDArray[np.complex128]) -> NDArray[np.float64]:
@@ -177,34 +216,24 @@ def perron_scaling(matrix: NDArray[np.complex128]) -> NDArray[np.float64]:
     return np.asarray(logarithm + (np.log(left) - np.log(right)) / 2)
 
 
-def descended(
-    matrix: NDArray[np.complex128], scaling: NDArray[np.float64], descent_steps: int, enough: float = 0.0
-) -> NDArray[np.float64]:
-    """The least bound (matrices,) of mu along a descent over the scaling D.
+def _descended(matrices: _Matrices, descent_steps: int, enough: float = 0.0) -> NDArray[np.float64]:
+    """The least bound (matrices,) of mu along a descent from `perron_scaling` on over the scaling D.
 
     Parameters
     ----------
-    matrix
-        Matrices M (matrices, signals, signals).
-    scaling
-        Logarithms of the first D (matrices, signals).
+    matrices
+        M.
     descent_steps
-        Steps along the gradient of log sigma_max(D M D^-1) by log D, which is |u_i|^2 - |v_i|^2 with the first singular
-        vectors u and v. The least bound of all steps is returned.
+        Steps along the gradient. The least bound of all steps is returned.
     enough
         A matrix whose bound is below that takes no further step.
     """
-    logarithm = scaling.copy()
-    best, active = np.full(len(matrix), np.inf), np.arange(len(matrix))
+    logarithm = perron_scaling(matrices.full())
+    best, active = np.full(len(logarithm), np.inf), np.arange(len(logarithm))
     for step in range(descent_steps + 1):
-        scale = np.exp(logarithm[active])
-        rescaled = matrix[active] * (scale[:, :, None] / scale[:, None, :])
-        # the greatest singular value and its vectors, of the Hermitian product: a third of the work of all
-        squares, vectors = np.linalg.eigh(rescaled.conj().swapaxes(1, 2) @ rescaled)
-        sigma, v = np.sqrt(squares[:, -1]), vectors[:, :, -1]
-        u = np.einsum("nij,nj->ni", rescaled, v) / sigma[:, None]
+        sigma, gradient = matrices.at(active).norms(logarithm[active])
         best[active] = np.minimum(best[active], sigma)
-        logarithm[active] -= (np.abs(u) ** 2 - np.abs(v) ** 2) / (1 + step) ** 0.5
+        logarithm[active] -= gradient / (1 + step) ** 0.5
         active = active[best[active] >= enough]
         if not active.size:
             break

@@ -11,9 +11,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pydantic
 from scipy.optimize import linear_sum_assignment
 
-from abrace_core.linear_model import takes_models
+from abrace_core.files.config_file import Number  # noqa: TC001  pydantic reads it
+from abrace_core.model.linear_model import takes_models
+from abrace_core.model.modes import nearest_mode
 from abrace_lqg.loop import NEGLIGIBLE_POLE, closed_loop, eigenvalues, sampled
 
 if TYPE_CHECKING:
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from abrace_core.linear_model import LinearModel
+    from abrace_core.model.linear_model import LinearModel
 
 LEAST_STEP, LONGEST_STEP = 1 / 150, 1 / 8
 """Steps of the square root of the gain on the commands, which goes from zero to one."""
@@ -31,9 +34,6 @@ CLEAR = 0.2
 
 SAME_POLE = 1e-5
 """Distance in the z plane of poles of the same mode, which some models have once for each input."""
-
-SAME_MODE = 0.05
-"""Relative difference of frequency within which a pole pair counts as one of the design model's."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,19 @@ class ModeEffect:
     frequency: float
     damping: float
     controlled_frequency: float
-    controlled_damping: float
+    controlled_damping: Number
     modelled: bool
 
+    @pydantic.computed_field  # type: ignore[prop-decorator]
     @property
-    def damping_kept(self) -> float:
-        """Damping ratio with control over that without; above 1 where control adds damping."""
-        return self.controlled_damping / self.damping
+    def damping_kept(self) -> Number:
+        """Damping ratio with control over that without; above 1 where control adds damping.
+
+        Infinite, of the sign of the difference, where there was none.
+        """
+        if self.damping > 0:
+            return self.controlled_damping / self.damping
+        return float(np.copysign(np.inf, self.controlled_damping - self.damping))
 
 
 @takes_models
@@ -76,7 +82,7 @@ def mode_effects(model: LinearModel, controller: LinearModel, design_model: Line
     period = controller.sample_period
     plant = sampled(model, period)
     loop = closed_loop(plant, controller).a
-    commands = slice(plant.order, plant.order + len(controller.outputs))
+    commands = slice(plant.order + controller.order, None)
     gain = np.ones((len(loop), 1))
     gain[commands] = 0.0
     start = eigenvalues(gain * loop)
@@ -90,7 +96,7 @@ def mode_effects(model: LinearModel, controller: LinearModel, design_model: Line
         return eigenvalues(gain * loop)
 
     followed = _followed(poles_at, start, indices)
-    known = np.abs(design_model.poles()[design_model.poles().imag > 0])
+    known = np.abs(design_model.poles[design_model.poles.imag > 0])
     effects = []
     for before, after in zip(np.log(own) / period, np.log(followed) / period, strict=True):
         frequency = float(abs(before))
@@ -100,7 +106,7 @@ def mode_effects(model: LinearModel, controller: LinearModel, design_model: Line
                 float(-before.real / frequency),
                 float(abs(after)) if after.imag else 0.0,
                 float(-after.real / abs(after)),
-                bool((np.abs(known / frequency - 1) < SAME_MODE).any()),
+                nearest_mode(known, frequency) is not None,
             )
         )
     return sorted(effects, key=lambda effect: effect.frequency)

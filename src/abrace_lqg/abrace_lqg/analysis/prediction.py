@@ -13,15 +13,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core import signals
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import takes_models
+from abrace_core import AbraceError
+from abrace_core.model import signals
+from abrace_core.model.linear_model import takes_models
 from abrace_lqg.loop import LOWEST_FREQUENCY, closed_loop, eigenvalues, frequency_grid, sampled
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from abrace_core.linear_model import LinearModel
+    from abrace_core.model.linear_model import LinearModel
 
 
 @dataclass(frozen=True)
@@ -56,47 +54,6 @@ class Excitation:
 
 
 @takes_models
-def output_amplitudes(model: LinearModel, excitation: Excitation) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
-    """Amplitude of each output at frequencies over the band of the excitation.
-
-    Parameters
-    ----------
-    model
-        Discrete and stable; its only input is the ground acceleration.
-    excitation
-        Of the ground.
-
-    Returns
-    -------
-    omega, amplitudes
-        (frequencies,) [rad/s] and (frequencies, outputs), complex: the sum over all frequencies of one output's
-        amplitude times the conjugate of another's is their covariance.
-
-    Raises
-    ------
-    AbraceError
-        If the model has other inputs, is not stable, or is sampled too slowly for the band.
-    """
-    poles = eigenvalues(model.a)
-    if model.inputs != (signals.GROUND,) or not model.sample_period or np.abs(poles).max(initial=0.0) >= 1:
-        raise AbraceError(
-            f"prediction: model with inputs {', '.join(model.inputs)} and sample period {model.sample_period} s, "
-            f"expected a stable discrete one with input {signals.GROUND}"
-        )
-    low, high = (2 * np.pi * frequency for frequency in excitation.band)
-    highest = np.pi / model.sample_period
-    if high > highest * (1 + 1e-9):
-        raise AbraceError(
-            f"prediction: band up to {excitation.band[1]} Hz, expected at most {highest / (2 * np.pi):g} Hz"
-        )
-    omega = frequency_grid(poles, model.sample_period, (max(low, LOWEST_FREQUENCY), min(high, highest)))
-    steps = np.diff(omega)
-    share = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]]) / 2 / (high - low)
-    response = model.frequency_response(omega)[:, :, 0]
-    return omega, response * (excitation.rms * np.sqrt(share))[:, None]
-
-
-@takes_models
 def predicted_rms(model: LinearModel, controller: LinearModel | None, excitation: Excitation) -> dict[str, float]:
     """Rms of each output, and of each command, by name [SI units].
 
@@ -107,11 +64,33 @@ def predicted_rms(model: LinearModel, controller: LinearModel | None, excitation
     controller
         Eq. (13); None: zero command, with a discrete model.
     excitation
-        Of the ground.
+        Excitation of the ground.
+
+    Raises
+    ------
+    AbraceError
+        If the loop has other inputs, is not stable, or is sampled too slowly for the band.
     """
     loop = model.select(inputs=[signals.GROUND]) if controller is None else closed_loop(model, controller)
-    _, amplitudes = output_amplitudes(loop, excitation)
-    rms = np.sqrt(np.sum(np.abs(amplitudes) ** 2, axis=0))
+    poles = eigenvalues(loop.a)
+    if loop.inputs != (signals.GROUND,) or not loop.sample_period or np.abs(poles).max(initial=0.0) >= 1:
+        raise AbraceError(
+            f"prediction: model with inputs {', '.join(loop.inputs)} and sample period {loop.sample_period} s, "
+            f"expected a stable discrete one with input {signals.GROUND}"
+        )
+    low, high = (2 * np.pi * frequency for frequency in excitation.band)
+    highest = np.pi / loop.sample_period
+    if high > highest * (1 + 1e-9):
+        raise AbraceError(
+            f"prediction: band up to {excitation.band[1]} Hz, expected at most {highest / (2 * np.pi):g} Hz"
+        )
+    omega = frequency_grid(poles, loop.sample_period, (max(low, LOWEST_FREQUENCY), min(high, highest)))
+    steps = np.diff(omega)
+    share = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]]) / 2 / (high - low)
+    response = loop.frequency_response(omega)[:, :, 0]
+    rms = excitation.rms * np.sqrt(share @ np.abs(response) ** 2)
+    if not np.isfinite(rms).all():
+        raise AbraceError(f"prediction: rms of {loop.outputs[np.argmin(np.isfinite(rms))]} is not finite")
     found = dict(zip(loop.outputs, rms.tolist(), strict=True))
     return {name: 0.0 for name in model.inputs if name != signals.GROUND} | found
 

@@ -10,13 +10,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from abrace_core.controller_file import ControllerParameters, controller_from_parameters, load_controller
-from abrace_core.errors import AbraceError
-from abrace_core.node import Parameter, run
-from abrace_core.node.brace_commander import BraceCommander
+from abrace_core import AbraceError
+from abrace_core.model.controller_file import ControllerParameters, controller_from_parameters, load_controller
+from abrace_core.model.signals import command_names, response_names
 from abrace_core.safety.sample_watch import LONGEST_GAP
-from abrace_core.signals import command_names, response_names
 from abrace_lqg.active_controller import ActiveController
+from abrace_node.commander import BraceCommander
+from abrace_node.parameters import Parameter
+from abrace_node.process import run
 
 FILE = "--params-file FILE, the controller file (YAML) that `design` wrote"
 
@@ -70,7 +71,7 @@ PARAMETERS = [
 ]
 
 
-class Controller(BraceCommander):
+class ControllerNode(BraceCommander):
     """Answers each sample with the control law's force."""
 
     def __init__(self) -> None:
@@ -125,4 +126,4 @@ class Controller(BraceCommander):
 
 def main() -> int:
     """Entry point."""
-    return run(Controller)
+    return run(ControllerNode)

@@ -2,38 +2,46 @@
 """Proof before use: the predicted behaviour of a designed controller with every available model of the structure.
 
 The controller is designed with one model, and the structure differs from every model. So the closed loop with each is
-analysed before the first test: poles, margins, rms of responses and commands, damping of unmodelled modes, and the
-effect of lost samples. A design with an objection is refused unless that objection is accepted by name.
+analysed before the first test: poles, margins, rms of responses and commands, and damping of unmodelled modes. A design
+with an objection is refused unless that objection is accepted by name.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+import pydantic
 
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import takes_models
-from abrace_core.suggestion import expected_of
+from abrace_core import AbraceError
+from abrace_core.files.config_file import Number  # noqa: TC001  pydantic reads it
+from abrace_core.files.suggestion import expected_of
+from abrace_core.model.linear_model import takes_models
+from abrace_core.model.verdict import judged, nan_first
 from abrace_lqg.analysis.disk_margin import DiskMargin, disk_margin
-from abrace_lqg.analysis.lost_samples import LostSamples, lost_samples
 from abrace_lqg.analysis.margins import Margins, margins_at
 from abrace_lqg.analysis.mode_damping import ModeEffect, mode_effects
-from abrace_lqg.analysis.prediction import rms_without_and_with_control
+from abrace_lqg.analysis.prediction import Excitation, rms_without_and_with_control
 from abrace_lqg.loop import closed_loop_poles, is_stable
-from abrace_lqg.of_model import excitation_of
-from abrace_lqg.proof.limits import OBJECTIONS, WORDING, Limits, Objection, shortfall
+from abrace_lqg.proof.limits import OBJECTIONS, WORDING, Limits, Objection, excitation_of, shortfall
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
-    from abrace_core.linear_model import LinearModel
-    from abrace_lqg.analysis.prediction import Excitation
+    from abrace_core.model.linear_model import LinearModel
     from abrace_lqg.design import ControllerDesign
 
-LOST_IN_A_ROW = (1, 2)
-"""Numbers of consecutive lost samples whose effect is computed."""
+_Values = pydantic.BeforeValidator(lambda given: tuple(given.values()) if isinstance(given, dict) else given)
+
+
+def _named(*names: str) -> Any:
+    """In files the values of a tuple stand by these `names`."""
+    return pydantic.PlainSerializer(lambda values: dict(zip(names, values, strict=True)))
+
+
+Pole = Annotated[tuple[float, float], _Values, _named("frequency", "damping")]
+Rms = Annotated[tuple[float, float], _Values, _named("zero_command", "controlled")]
 
 
 @dataclass(frozen=True)
@@ -45,7 +53,7 @@ class EnsembleProof:
     count, unstable
         Models, and those with which the loop is not stable; the rest is about the others.
     margins
-        By the command at which the loop is broken.
+        Least margins by the command at which the loop is broken.
     disk_margin
         Radius of the disk of all commands and measured quantities at once.
     damping_kept, at
@@ -55,8 +63,8 @@ class EnsembleProof:
     count: int
     unstable: int
     margins: dict[str, Margins]
-    disk_margin: float
-    damping_kept: float
+    disk_margin: Number
+    damping_kept: Number
     at: float
 
     def __str__(self) -> str:
@@ -69,12 +77,10 @@ class ModelProof:
 
     Parameters
     ----------
-    name
-        Of the model.
     order
         Number of its states.
     stable
-        Whether the closed loop is stable; if not, margins, prediction and lost are empty.
+        Whether the closed loop is stable; if not, margins and prediction are empty.
     poles
         (frequency [rad/s], damping ratio) of the loop's oscillating poles, slowest first.
     margins
@@ -85,8 +91,6 @@ class ModelProof:
         Rms with zero command and controlled [SI units], by quantity.
     modes
         The model's own pole pairs without and with control.
-    lost
-        The effect of one and of two lost samples.
     ensemble
         The least of models as likely as this one; None: it has no covariance.
     """
@@ -94,18 +98,17 @@ class ModelProof:
     name: str
     order: int
     stable: bool
-    poles: list[tuple[float, float]]
+    poles: list[Pole]
     margins: dict[str, Margins]
     disk: DiskMargin | None
-    prediction: dict[str, tuple[float, float]]
+    prediction: dict[str, Rms]
     modes: list[ModeEffect]
-    lost: list[LostSamples]
     ensemble: EnsembleProof | None = None
 
 
 @dataclass(frozen=True)
 class Proof:
-    """Predictions for a controller with all models.
+    """Predictions for a controller with all models: what is written to NAME_proof.json, and read from it by pydantic.
 
     Parameters
     ----------
@@ -114,7 +117,7 @@ class Proof:
     commands
         Names of the commands: the plant's inputs.
     excitation
-        For which rms values are predicted.
+        The ground motion for which rms values are predicted.
     limits
         What the controller has to keep.
     accepted
@@ -142,7 +145,7 @@ class Proof:
         """Least `ModeEffect.damping_kept` of all pole pairs of all models, drawn ones too; infinite: there is none."""
         of_modes = [mode.damping_kept for each in self.models for mode in each.modes]
         drawn = [each.ensemble.damping_kept for each in self.models if each.ensemble is not None]
-        return min([*of_modes, *drawn], default=np.inf)
+        return min([*of_modes, *drawn], key=nan_first, default=np.inf)
 
     def objections(self) -> dict[Objection, str]:
         """The reasons against use, by their names in `proof.limits.OBJECTIONS`."""
@@ -158,8 +161,9 @@ class Proof:
         if unstable:
             found["unstable_with_check_model"] = f"the closed loop with {', '.join(unstable)} is not stable"
         for limit, asked in self.limits.model_dump().items():
-            value, where = min([*self._measured(limit), *self._drawn(limit)], default=(np.inf, ""))
-            if value < asked:
+            short = [one for one in (*self._measured(limit), *self._drawn(limit)) if judged(asked - one[0], 0.0)]
+            if short:
+                value, where = min(short, key=lambda one: nan_first(one[0]))
                 found[WORDING[limit].objection] = shortfall(limit, value, where, asked)
         return found
 
@@ -174,7 +178,7 @@ class Proof:
                 for each in stable
                 for mode in each.modes
             ]
-        quantity = limit.removesuffix("_margin")
+        quantity = WORDING[limit].of_margins
         return [
             (getattr(each.margins[name], quantity), f"at {name} with {each.name}")
             for each in stable
@@ -194,7 +198,7 @@ class Proof:
             elif limit == "disk_margin":
                 found.append((one.disk_margin, where))
             else:
-                quantity = limit.removesuffix("_margin")
+                quantity = WORDING[limit].of_margins
                 found += [(getattr(one.margins[name], quantity), f"at {name} {where}") for name in self.commands]
         return found
 
@@ -203,12 +207,12 @@ class Proof:
         models = sum(each.stable for each in self.models)
         drawn = [each.ensemble for each in self.models if each.ensemble is not None]
         disk = [each.disk.alpha for each in self.models if each.disk is not None]
-        text = f"{self.margins}, disk margin {min([*disk, *(one.disk_margin for one in drawn)]):.2f}"
+        text = f"{self.margins}, disk margin {min([*disk, *(one.disk_margin for one in drawn)], key=nan_first):.2f}"
         if models > 1 or drawn:
             count = sum(one.count - one.unstable for one in drawn)
             text += f", the least of {models} models" + (f" and {count} drawn from them" if drawn else "")
         least = self.least_damping_kept
-        kept = f"; damping kept by every mode: {least:.0%} or more" if np.isfinite(least) else ""
+        kept = f"; damping kept by every mode: {least:.0%} or more" if least < np.inf or np.isnan(least) else ""
         reasons = self.objections()
         accepted = "".join(f"; accepted by name: {name}, {reasons[name]}" for name in self.accepted)
         return text + kept + accepted
@@ -221,13 +225,12 @@ def prove(
     excitation: Excitation | None = None,
     limits: Limits | None = None,
     ensembles: Mapping[str, Sequence[LinearModel]] | None = None,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Proof:
     """Analyse the closed loop of a designed controller with each model.
 
     Parameters
     ----------
-    designed
-        The design.
     models
         By name: first the model that it was designed with, then the check models.
     excitation
@@ -236,6 +239,8 @@ def prove(
         What the controller has to keep; None: `Limits()`.
     ensembles
         By the name of a model others that are as likely; the controller has to keep its limits with them too.
+    progress
+        Called with the numbers of models that are done, and of all.
 
     Raises
     ------
@@ -244,12 +249,21 @@ def prove(
     """
     design_model = next(iter(models.values()))
     excitation = excitation or excitation_of(design_model)
-    proofs = []
+    proofs, done, count = [], 0, len(models) + sum(map(len, (ensembles or {}).values()))
+
+    def advance() -> None:
+        nonlocal done
+        done += 1
+        progress(done, count)
+
+    progress(0, count)
     for name, model in models.items():
         try:
             one = _prove_with(name, model, design_model, designed, excitation)
-            drawn = (ensembles or {}).get(name)
-            proofs.append(replace(one, ensemble=_prove_ensemble(drawn, design_model, designed)) if drawn else one)
+            advance()
+            if drawn := (ensembles or {}).get(name):
+                one = replace(one, ensemble=_prove_ensemble(drawn, design_model, designed, advance))
+            proofs.append(one)
         except AbraceError as error:
             raise AbraceError(f"proof with model {name}: {error}") from error
     if not proofs[0].stable:
@@ -262,8 +276,6 @@ def require(proof: Proof, accept: Collection[str] = ()) -> Proof:
 
     Parameters
     ----------
-    proof
-        Of the design.
     accept
         Names out of `proof.limits.OBJECTIONS`.
 
@@ -297,28 +309,29 @@ def _prove_with(
         disk=disk_margin(model, controller) if stable else None,
         prediction=rms_without_and_with_control(model, controller, excitation) if stable else {},
         modes=mode_effects(model, controller, design_model),
-        lost=[
-            lost_samples(model, controller, designed.correction, excitation=excitation, in_a_row=count)
-            for count in LOST_IN_A_ROW
-            if stable
-        ],
     )
 
 
 def _prove_ensemble(
-    models: Sequence[LinearModel], design_model: LinearModel, designed: ControllerDesign
+    models: Sequence[LinearModel],
+    design_model: LinearModel,
+    designed: ControllerDesign,
+    advance: Callable[[], None],
 ) -> EnsembleProof:
     controller = designed.controller
-    stable = [model for model in models if is_stable(model, controller)]
-    found = [margins_at(model, controller, controller.outputs) for model in stable]
-    modes = [mode for model in stable for mode in mode_effects(model, controller, design_model)]
-    least = min(modes, key=lambda mode: mode.damping_kept, default=None)
+    found: list[dict[str, Margins]] = []
+    modes: list[ModeEffect] = []
     disk = np.inf
-    for model in stable:
-        disk = min(disk, disk_margin(model, controller, below=disk).alpha)
+    for model in models:
+        if is_stable(model, controller):
+            found.append(margins_at(model, controller, controller.outputs))
+            modes += mode_effects(model, controller, design_model)
+            disk = min(disk, disk_margin(model, controller, below=disk).alpha, key=nan_first)
+        advance()
+    least = min(modes, key=lambda mode: nan_first(mode.damping_kept), default=None)
     return EnsembleProof(
         count=len(models),
-        unstable=len(models) - len(stable),
+        unstable=len(models) - len(found),
         margins={name: Margins.least([one[name] for one in found]) for name in controller.outputs if found},
         disk_margin=disk,
         damping_kept=np.inf if least is None else least.damping_kept,

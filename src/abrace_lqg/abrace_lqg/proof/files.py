@@ -6,29 +6,32 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+import pydantic
 
-from abrace_core.drawing import save_figure
-from abrace_core.errors import AbraceError
-from abrace_core.files import write_text
-from abrace_core.linear_model import load_model, takes_models
-from abrace_lqg.proof.figures import loop_figure, pole_figure, prediction_figure
+from abrace_core import AbraceError
+from abrace_core.figures.saving import save_figure
+from abrace_core.files.writing import write_json
+from abrace_core.model.linear_model import load_model, takes_models
+from abrace_core.model.signals import unit
+from abrace_lqg.proof.checks import Proof
+from abrace_lqg.proof.figures import loop_figure
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from abrace_core.linear_model import LinearModel
-    from abrace_lqg.proof.checks import ModelProof, Proof
+    from abrace_core.model.linear_model import LinearModel
+    from abrace_lqg.analysis.margins import Margins
+    from abrace_lqg.analysis.mode_damping import ModeEffect
+    from abrace_lqg.proof.checks import EnsembleProof, ModelProof
 
-FILE_FORMAT = "abrace proof 1"
+
+FILE_FORMAT = "abrace proof 3"
 
 DISTRUST = "don't trust"
 """Verdict of a `validity.json` on models that no controller is to be designed with."""
-
-DRAWS = 30
-"""Models drawn from the covariance of each model that has one: the worst is worse than 9 of 10 such models."""
 
 
 def load_models(paths: Sequence[str]) -> dict[str, LinearModel]:
@@ -91,14 +94,12 @@ def save_proof(
 
     Parameters
     ----------
-    proof
-        Of the controller.
     models
-        By name, as they were given to `prove`.
+        Models by name, as they were given to `prove`.
     controller
         Discrete.
     controller_file
-        NAME.yaml; written are NAME_proof.json, NAME_loop.png, NAME_poles.png and NAME_prediction.png.
+        NAME.yaml; written are NAME_proof.json and NAME_loop.svg.
     ensembles
         Models drawn from the covariance of some of them, by name, as they were given to `prove`.
 
@@ -109,58 +110,66 @@ def save_proof(
     """
     controller_file = Path(controller_file)
     numbers = controller_file.with_name(f"{controller_file.stem}_proof.json")
-    write_text(numbers, _proof_json(proof))
-    written = [numbers]
-    for name, figure in (
-        ("loop", loop_figure(proof, models, controller, ensembles)),
-        ("poles", pole_figure(proof)),
-        ("prediction", prediction_figure(proof)),
-    ):
-        written.append(controller_file.with_name(f"{controller_file.stem}_{name}.png"))
-        save_figure(figure, written[-1])
-    return written
-
-
-def finite_or_null(value: Any) -> Any:
-    """A JSON value with None for each number that JSON lacks: an infinite margin becomes null.
-
-    Parameters
-    ----------
-    value
-        A number, text, list, tuple or dict of such values.
-    """
-    if isinstance(value, dict):
-        return {key: finite_or_null(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite_or_null(entry) for entry in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-def _proof_json(proof: Proof) -> str:
-    """All numbers in SI units."""
-    content = {
-        "format": FILE_FORMAT,
+    found = {
         "summary": proof.summary(),
-        "limits": proof.limits.model_dump(),
-        "accepted": proof.accepted,
-        "excitation": asdict(proof.excitation),
         "margins": asdict(proof.margins),
         "least_damping_kept": proof.least_damping_kept,
-        "models": [_model_content(each) for each in proof.models],
     }
-    return json.dumps(finite_or_null(content), indent=1, allow_nan=False) + "\n"
+    write_json(numbers, {"format": FILE_FORMAT, **found, **pydantic.TypeAdapter(Proof).dump_python(proof)})
+    picture = controller_file.with_name(f"{controller_file.stem}_loop.svg")
+    save_figure(loop_figure(proof, models, controller, ensembles), picture)
+    return [numbers, picture]
 
 
-def _model_content(proof: ModelProof) -> dict[str, Any]:
-    """One model's proof as JSON values, with derived quantities."""
-    content = asdict(proof)
-    content["poles"] = [{"frequency": frequency, "damping": damping} for frequency, damping in proof.poles]
-    if proof.disk is not None:
-        content["disk"] |= {"gain": proof.disk.gain, "phase": proof.disk.phase}
-    content["prediction"] = {
-        name: {"zero_command": without, "controlled": controlled}
-        for name, (without, controlled) in proof.prediction.items()
-    }
-    for mode, entry in zip(proof.modes, content["modes"], strict=True):
-        entry["kept"] = mode.damping_kept
-    return content
+def table_lines(proof: Proof) -> list[str]:
+    """The lines of a `proof`, one model after the other."""
+    return [line for each in proof.models for line in _model(each, proof)]
+
+
+def _model(one: ModelProof, proof: Proof) -> Iterator[str]:
+    role = "designed with" if one is proof.models[0] else "checked with"
+    yield f"{role} {one.name}, {one.order} states: the closed loop is {'stable' if one.stable else 'NOT STABLE'}"
+    if one.margins:
+        yield "  loop broken at   gain [dB]  phase [deg]  delay [ms]  sensitivity peak"
+        for name, margins in one.margins.items():
+            yield f"  {name:<14}{_margins(margins)}"
+        yield f"  {one.disk}"
+    if one.ensemble is not None:
+        yield from _ensemble(one.ensemble)
+    yield "  closed-loop poles [rad/s] (damping ratio):"
+    for i in range(0, len(one.poles), 6):
+        yield "   " + "".join(f" {frequency:10.2f} ({damping:.3f})" for frequency, damping in one.poles[i : i + 6])
+    yield "  mode [rad/s]   damping ratio   controlled [rad/s]   damping ratio   share kept"
+    for mode in one.modes:
+        yield f"  {_mode(mode)}"
+    if one.prediction:
+        yield f"  rms for a {proof.excitation}:"
+        yield "  quantity      zero command    controlled   change"
+        for name, (without, controlled) in one.prediction.items():
+            change = f"{controlled / without - 1:+8.0%}" if without else "        "
+            yield f"  {name + ' [' + unit(name) + ']':<12}{without:14.4g}{controlled:14.4g} {change}".rstrip()
+
+
+def _ensemble(drawn: EnsembleProof) -> Iterator[str]:
+    yield f"  the least of {drawn}: the closed loop is {'NOT STABLE' if drawn.unstable else 'stable'} with" + (
+        f" {drawn.unstable} of them" if drawn.unstable else " all of them"
+    )
+    for name, margins in drawn.margins.items():
+        yield f"  {name:<14}{_margins(margins)}"
+    if drawn.margins:
+        kept = f"; damping kept {drawn.damping_kept:.2f} by the mode at {drawn.at:.1f} rad/s" if drawn.at else ""
+        yield f"  disk margin {drawn.disk_margin:.2f}{kept}"
+
+
+def _margins(margins: Margins) -> str:
+    delay = f"{1e3 * margins.delay:.1f}" if np.isfinite(margins.delay) else "any"
+    gain = f"{margins.gain_db:.1f}" if np.isfinite(margins.gain_db) else "any"
+    return f"{gain:>12}{margins.phase_deg:13.1f}{delay:>12}{margins.sensitivity_peak:18.2f}"
+
+
+def _mode(mode: ModeEffect) -> str:
+    known = "" if mode.modelled else "   not in the design model"
+    return (
+        f"{mode.frequency:12.2f}{mode.damping:16.4f}{mode.controlled_frequency:21.2f}"
+        f"{mode.controlled_damping:16.4f}{mode.damping_kept:13.2f}{known}"
+    )

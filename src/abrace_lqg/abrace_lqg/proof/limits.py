@@ -1,13 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The limits that a controller has to keep before it is written, and the names of the objections if it does not."""
+"""The options of a design: limits that a controller has to keep, and the names of the objections if it does not."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, TypeVar, get_args
 
-import pydantic
+import numpy as np
+from pydantic import Field
 
-from abrace_core.config_file import Checked
+from abrace_core import AbraceError
+from abrace_core.files.options import NOT_GIVEN, Band, Count, NonNegative, Options
+from abrace_core.model.linear_model import LinearModel, pole_table, takes_models
+from abrace_lqg.analysis.prediction import Excitation
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
 
 Objection = Literal[
     "untrusted_model",
@@ -22,43 +32,104 @@ Objection = Literal[
 
 OBJECTIONS: tuple[Objection, ...] = get_args(Objection)
 
-Least = Annotated[float, pydantic.Field(ge=0)]
+DRAWS = 30
+"""Models drawn from the covariance of each model that has one: the worst is worse than 9 of 10 such models."""
+
+ForceLimit = tuple[Annotated[float, Field(ge=1)], ...]
 
 
-class Limits(Checked):
+class Limits(Options):
     """The limits for a controller with every model with which its loop is stable; 0: no limit.
 
-    Parameters
-    ----------
-    gain_margin, phase_margin, delay_margin
-        [dB], [degrees], [s], of the loop broken at each command. 4 ms are two samples at 500 Hz.
-    disk_margin
-        Radius of the disk of all commands and all measured quantities at once (`DiskMargin.alpha`).
-    damping_kept
-        Share of its damping without control that each mode keeps.
+    Margins are of the loop broken at each command; 4 ms of delay are two samples at 500 Hz.
     """
 
-    gain_margin: Least = 6.0
-    phase_margin: Least = 30.0
-    delay_margin: Least = 0.004
-    disk_margin: Least = 0.3
-    damping_kept: Least = 0.8
+    who: ClassVar[str] = "design"
+
+    gain_margin: NonNegative = Field(default=6.0, description="dB, least gain margin at each command; 0: no limit")
+    phase_margin: NonNegative = Field(
+        default=30.0, description="degrees, least phase margin at each command; 0: no limit"
+    )
+    delay_margin: NonNegative = Field(default=0.004, description="s, least delay margin at each command; 0: no limit")
+    disk_margin: NonNegative = Field(
+        default=0.3, description="least disk margin of all commands and measured quantities at once; 0: no limit"
+    )
+    damping_kept: NonNegative = Field(
+        default=0.8, description="least share of its damping that each mode keeps; 0: no limit"
+    )
+
+
+class DesignOptions(Limits):
+    """Options of the design of a controller, and the limits that it has to keep."""
+
+    sample_period: NonNegative = Field(
+        default=0.0, description="s, sample period of the controller; 0: that of the rig of the model's tests"
+    )
+    force_limit: ForceLimit = Field(
+        default=(),
+        description="N, greatest force of one brace, of every group or of each; none: that of the rig of the tests",
+    )
+    accept: tuple[Objection, ...] = Field(
+        default=(), description="objections, by name, in spite of which the controller is made"
+    )
+    draws: Count = Field(
+        default=DRAWS, description="models drawn from the covariance of each model that has one; 0: none"
+    )
+    draw_seed: Count = Field(default=0, description="seed of these models")
+    excitation_rms: Annotated[float, Field(ge=1e-9)] = Field(
+        default=0.25, description="m/s^2, rms of the ground acceleration for the predicted responses"
+    )
+    excitation_band: Band = Field(
+        default=NOT_GIVEN,
+        description="Hz, lowest and highest frequency of this excitation; 0, 0: 0.3 to 10 Hz, or wider around the "
+        "slowest mode",
+    )
+
+    @property
+    def limits(self) -> Limits:
+        """The limits alone."""
+        return Limits(**{name: getattr(self, name) for name in Limits.model_fields})
+
+    @takes_models
+    def of_model(self, model: LinearModel) -> DesignOptions:
+        """The same, with what is not given as a `model` has it: sample period, force limits, excitation.
+
+        Raises
+        ------
+        AbraceError
+            If the model does not have it, or a controller for it cannot have the one that is given.
+        """
+        found = {
+            "sample_period": sample_period_of(model, self.sample_period),
+            "force_limit": tuple(force_limit_of(model, self.force_limit)),
+            "excitation_band": excitation_of(model, self.excitation_rms, self.excitation_band).band,
+        }
+        return self.model_copy(update=found)
+
+    @property
+    def excitation(self) -> Excitation:
+        """The ground acceleration of `excitation_rms` and `excitation_band`."""
+        return Excitation(self.excitation_rms, self.excitation_band)
 
 
 class Wording(NamedTuple):
-    """The wording of a limit: name of the objection, the quantity, factor and unit of the numbers, decimals."""
+    """The wording of a limit: name of the objection, the quantity, factor and unit of the numbers, decimals.
+
+    `of_margins` is the field of `Margins` that is limited; empty: none of them is.
+    """
 
     objection: Objection
     quantity: str
     factor: float = 1.0
     unit: str = ""
     decimals: int = 2
+    of_margins: str = ""
 
 
 WORDING = {
-    "gain_margin": Wording("small_gain_margin", "gain margin", unit=" dB"),
-    "phase_margin": Wording("small_phase_margin", "phase margin", unit=" degrees", decimals=1),
-    "delay_margin": Wording("short_delay_margin", "delay margin", factor=1e3, unit=" ms"),
+    "gain_margin": Wording("small_gain_margin", "gain margin", unit=" dB", of_margins="gain_db"),
+    "phase_margin": Wording("small_phase_margin", "phase margin", unit=" degrees", decimals=1, of_margins="phase_deg"),
+    "delay_margin": Wording("short_delay_margin", "delay margin", factor=1e3, unit=" ms", of_margins="delay"),
     "disk_margin": Wording("small_disk_margin", "disk margin"),
     "damping_kept": Wording("damping_lost", "damping kept", factor=100.0, unit=" %", decimals=1),
 }
@@ -71,3 +142,99 @@ def shortfall(limit: str, value: float, where: str, least: float) -> str:
     found, asked = (wording.factor * number for number in (value, least))
     size = f"{found:.{wording.decimals}f}{wording.unit}"
     return f"{wording.quantity} {size} {where}, expected at least {asked:g}{wording.unit}"
+
+
+OfRig = TypeVar("OfRig", bound="Options")
+
+AROUND_SLOWEST = (0.5, 4.0)
+"""The band of ground motions includes the slowest mode's frequency times these two: most earthquakes move it."""
+
+
+@takes_models
+def sample_period_of(model: LinearModel, given: float = 0.0) -> float:
+    """The sample period [s] of a controller for a model: the one that was `given`, or that of the model's tests.
+
+    Raises
+    ------
+    AbraceError
+        If neither is known, or the model's slowest mode cannot be sampled with it.
+    """
+    found = given or model.provenance.get("sample_period")
+    if not found:
+        raise AbraceError(
+            "sample_period: not given, and the model's file does not have it, expected s, or a rig in Python"
+        )
+    for frequency, _ in pole_table(model.poles)[:1]:
+        most = np.pi / frequency
+        if not 0 < float(found) < most:
+            raise AbraceError(
+                f"sample_period: {float(found):g} s, expected above 0 and below {most:.3g} s, "
+                "half the slowest mode's period"
+            )
+    return float(found)
+
+
+@takes_models
+def force_limit_of(model: LinearModel, given: Sequence[float] = ()) -> list[float]:
+    """The force limits (commands,) [N] of a controller: those `given`, or the capacity of the rig of the model's tests.
+
+    A single one is that of every command.
+
+    Raises
+    ------
+    AbraceError
+        If neither is known, or there is not one for each command.
+    """
+    found = list(given) or model.provenance.get("force_limit")
+    commands = ", ".join(model.inputs[1:])
+    if found and len(found) == 1:
+        found = list(found) * (len(model.inputs) - 1)
+    if found and len(found) != len(model.inputs) - 1:
+        raise AbraceError(f"force_limit: {found} N, expected one for each command of the model ({commands})")
+    if not found:
+        raise AbraceError(
+            f"force_limit: not given, and the model's file does not have it, expected N for {commands}, or a rig in "
+            "Python"
+        )
+    return [float(limit) for limit in found]
+
+
+@takes_models
+def excitation_of(model: LinearModel, rms: float = 0.25, band: tuple[float, float] = NOT_GIVEN) -> Excitation:
+    """The ground acceleration for which a design predicts responses.
+
+    Parameters
+    ----------
+    model
+        Continuous.
+    rms
+        [m/s^2].
+    band
+        [Hz]; NOT_GIVEN: 0.3 to 10 Hz, and wider where the slowest mode is nearer to an end than `AROUND_SLOWEST`.
+
+    Raises
+    ------
+    AbraceError
+        If the rms or the band is not possible.
+    """
+    if band != NOT_GIVEN:
+        return Excitation(rms, band)
+    low, high = Excitation().band
+    for frequency, _ in pole_table(model.poles)[:1]:
+        slowest = frequency / (2 * np.pi)
+        low, high = min(low, AROUND_SLOWEST[0] * slowest), max(high, AROUND_SLOWEST[1] * slowest)
+    return Excitation(rms, (float(low), float(high)))
+
+
+def of_rig(options: OfRig, sample_rate: float, capacity: NDArray[np.float64]) -> OfRig:
+    """The same `options` with sample period and force limit of a rig where they are not given.
+
+    Parameters
+    ----------
+    options
+        With `sample_period` and `force_limit`.
+    sample_rate, capacity
+        Of the rig: [Hz], and (commands,) [N].
+    """
+    of_known = {"sample_period": 1 / sample_rate, "force_limit": tuple(capacity.tolist())}
+    return options.model_copy(update={name: getattr(options, name) or value for name, value in of_known.items()})

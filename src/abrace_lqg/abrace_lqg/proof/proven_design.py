@@ -10,33 +10,29 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.controller_file import Controller, save_controller
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import load_covariance, takes_models
-from abrace_core.model_ensemble import draw_models
-from abrace_core.tables import data_frame
+from abrace_core import AbraceError
+from abrace_core.model.controller_file import Controller, save_controller
+from abrace_core.model.linear_model import load_covariance, takes_models
+from abrace_core.model.model_ensemble import draw_models
 from abrace_lqg.design import design
-from abrace_lqg.of_model import excitation_of
+from abrace_lqg.loop import closed_loop
 from abrace_lqg.proof.checks import prove, require
-from abrace_lqg.proof.figures import loop_figure, pole_figure, prediction_figure
-from abrace_lqg.proof.files import DRAWS, distrusted, load_models, save_proof
-from abrace_lqg.proof.table import table_lines
+from abrace_lqg.proof.figures import loop_figure
+from abrace_lqg.proof.files import distrusted, load_models, save_proof, table_lines
 from abrace_lqg.scaling import scaled_weights
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     import pandas
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from abrace_core.linear_model import LinearModel
-    from abrace_lqg.analysis.prediction import Excitation
+    from abrace_core.model.linear_model import LinearModel
+    from abrace_lqg.analysis.margins import Margins
     from abrace_lqg.proof.checks import Proof
-    from abrace_lqg.proof.limits import Limits
+    from abrace_lqg.proof.limits import DesignOptions
     from abrace_lqg.weights import Weights
-
-FIGURES = ("loop", "poles", "prediction")
 
 
 @dataclass(frozen=True)
@@ -65,36 +61,32 @@ class ProvenDesign:
         signals = f"{', '.join(law.inputs)} to {', '.join(law.outputs)}"
         return f"<Design {self.controller.name}: {signals}; {self.proof.summary()}>"
 
+    @property
+    def margins(self) -> Margins:
+        """The least at the commands, of all models."""
+        return self.proof.margins
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Poles of the closed loop with the model of the design, as `LinearModel.poles`."""
+        return closed_loop(next(iter(self.models.values())), self.controller.law).poles
+
     def to_pandas(self) -> pandas.DataFrame:
         """Predicted rms with zero command and controlled [SI units], and their ratio, of each quantity.
 
         The prediction is that of the design's own model under `proof.excitation`; an AbraceError without pandas.
         """
+        import pandas
+
         found = self.proof.models[0].prediction
         without, controlled = np.array(list(found.values())).T
         ratio = np.divide(controlled, without, out=np.full(len(found), np.nan), where=without > 0)
         columns = {"zero command": without, "controlled": controlled, "ratio": ratio}
-        return data_frame(columns, "rms of", list(found))
+        return pandas.DataFrame(columns, index=pandas.Index(list(found), name="rms of"))
 
-    def plot(self, what: str = "loop") -> Figure:
-        """A figure of the proof.
-
-        Parameters
-        ----------
-        what
-            "loop": Nichols chart, gain and sensitivity; "poles": with zero command and controlled; "prediction": rms of
-            every quantity.
-
-        Raises
-        ------
-        AbraceError
-            If it is none of these.
-        """
-        if what not in FIGURES:
-            raise AbraceError(f"figure {what!r} of a design: expected one of {', '.join(FIGURES)}")
-        if what == "loop":
-            return loop_figure(self.proof, self.models, self.controller.law, self.ensembles)
-        return pole_figure(self.proof) if what == "poles" else prediction_figure(self.proof)
+    def plot(self) -> Figure:
+        """The loop broken at each command: Nichols chart, gain and sensitivity."""
+        return loop_figure(self.proof, self.models, self.controller.law, self.ensembles)
 
     def save(self, path: Path | str) -> list[Path]:
         """Write the controller file, for the node `controller`, and the proof's files in its folder; returns paths.
@@ -118,16 +110,11 @@ def proven_design(
     *,
     weights: Weights,
     weights_name: str,
-    sample_period: float,
-    force_limit: Sequence[float],
+    options: DesignOptions,
     origin: str = "",
-    excitation: Excitation | None = None,
-    limits: Limits | None = None,
-    accept: Sequence[str] = (),
     covariances: Mapping[str, NDArray[np.float64]] | None = None,
-    draws: int = DRAWS,
-    draw_seed: int = 0,
     distrust: Sequence[str] = (),
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> ProvenDesign:
     """Design a controller and prove it.
 
@@ -137,24 +124,16 @@ def proven_design(
         By name: the model to design with, then the check models.
     weights, weights_name
         Weights, and their name in the controller file.
-    sample_period
-        [s].
-    force_limit
-        (commands,) [N].
+    options
+        What is not given is as the model to design with has it.
     origin
-        Of the model to design with; empty: its name.
-    excitation
-        For which rms values are predicted; None: `excitation_of` the model.
-    limits
-        Limits for the controller; None: `Limits()`.
-    accept
-        Names of objections in spite of which the controller is made.
+        Origin of the model to design with; empty: its name.
     covariances
-        Of the parameters of some of the models, by name.
-    draws, draw_seed
-        Models drawn from each of these covariances, and their seed; 0: none.
+        Covariances of the parameters of some of the models, by name.
     distrust
         A sentence for each model that cannot be trusted, with the reason, as from `distrusted`: an objection.
+    progress
+        As for `prove`.
 
     Raises
     ------
@@ -162,23 +141,24 @@ def proven_design(
         As in `design` and `prove`, or with the objections that are not accepted.
     """
     name, model = next(iter(models.items()))
-    weights = scaled_weights(model, weights, sample_period, force_limit, excitation or excitation_of(model))
-    designed = design(model, weights, sample_period)
+    options = options.of_model(model)
+    weights = scaled_weights(model, weights, options.sample_period, options.force_limit, options.excitation)
+    designed = design(model, weights, options.sample_period)
     ensembles = {}
-    for known, covariance in (covariances or {}).items() if draws else ():
+    for known, covariance in (covariances or {}).items() if options.draws else ():
         try:
-            ensembles[known] = draw_models(models[known], covariance, draws, draw_seed)
+            ensembles[known] = draw_models(models[known], covariance, options.draws, options.draw_seed)
         except AbraceError as error:
             raise AbraceError(f"model {known}: {error}") from error
-    proof = replace(prove(designed, models, excitation, limits, ensembles), distrusted=tuple(distrust))
-    proof = require(proof, accept)
+    proof = prove(designed, models, options.excitation, options.limits, ensembles, progress)
+    proof = require(replace(proof, distrusted=tuple(distrust)), options.accept)
     bags = ", ".join(map(str, model.provenance.get("bags", {}).values())) or "unknown bags"
     controller = Controller(
         name=weights_name.removesuffix(".yaml"),
         law=designed.controller,
         correction=designed.correction,
         prediction=designed.prediction,
-        force_limit=np.array(force_limit),
+        force_limit=np.array(options.force_limit),
         model=f"{origin or name}, {model.order} states, from {bags}",
         weights=f"{weights_name}: {weights}",
         margins=proof.summary(),
@@ -192,14 +172,9 @@ def design_to_file(
     *,
     weights: Weights,
     weights_name: str,
-    sample_period: float,
-    force_limit: Sequence[float],
-    excitation: Excitation | None = None,
-    limits: Limits | None = None,
-    accept: Sequence[str] = (),
-    draws: int = DRAWS,
-    draw_seed: int = 0,
+    options: DesignOptions,
     distrust: Sequence[str] = (),
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> tuple[Proof, Controller, list[Path]]:
     """Design a controller, prove it, and write it with its proof; nothing is written if the design is refused.
 
@@ -210,10 +185,12 @@ def design_to_file(
         It is an objection if a `validity.json` of `identify` in the same folder says not to trust one.
     output
         The controller file NAME.yaml.
-    weights, weights_name, sample_period, force_limit, excitation, limits, accept, draws, draw_seed
+    weights, weights_name, options
         As in `proven_design`.
     distrust
         Such objections that are known from elsewhere.
+    progress
+        As for `prove`.
 
     Returns
     -------
@@ -221,21 +198,16 @@ def design_to_file(
         The proof, the controller, and the paths of the written files.
     """
     models = load_models(model_files)
-    known = {name: load_covariance(path) for name, path in zip(models, model_files, strict=True) if draws}
+    known = {name: load_covariance(path) for name, path in zip(models, model_files, strict=True) if options.draws}
     proven = proven_design(
         models,
         weights=weights,
         weights_name=weights_name,
-        sample_period=sample_period,
-        force_limit=force_limit,
+        options=options,
         origin=os.path.relpath(model_files[0], Path(output).parent),
-        excitation=excitation,
-        limits=limits,
-        accept=accept,
         covariances={name: covariance for name, covariance in known.items() if covariance is not None},
-        draws=draws,
-        draw_seed=draw_seed,
         distrust=[*distrusted(model_files), *distrust],
+        progress=progress,
     )
     written = proven.save(output)
     return proven.proof, replace(proven.controller, name=Path(output).stem), written

@@ -18,34 +18,19 @@ import numpy as np
 import pydantic
 import yaml
 
-from abrace_core import signals
-from abrace_core.config_file import Checked, expect_entries, read_config
-from abrace_core.errors import AbraceError
-from abrace_core.files import write_text
+from abrace_core import AbraceError
+from abrace_core.files.config_file import Checked, expect_entries, read_config
+from abrace_core.files.quantity import Quantity
+from abrace_core.files.units import unit_of
+from abrace_core.files.writing import write_text
+from abrace_core.model import signals
 from abrace_plant.devices.device import DeviceError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from numpy.typing import ArrayLike, NDArray
-
-UNITS = {
-    "m": ("m", 1.0),
-    "cm": ("m", 0.01),
-    "mm": ("m", 0.001),
-    "in": ("m", 0.0254),
-    "m/s^2": ("m/s^2", 1.0),
-    "cm/s^2": ("m/s^2", 0.01),
-    "g": ("m/s^2", 9.80665),
-    "N": ("N", 1.0),
-    "kN": ("N", 1e3),
-    "kgf": ("N", 9.80665),
-    "tf": ("N", 9806.65),
-    "lbf": ("N", 4.4482216152605),
-    "kip": ("N", 4448.2216152605),
-}
-"""SI unit of each unit that a file may name, and its size in that."""
+    from numpy.typing import NDArray
 
 AT_END = 0.999
 """Share of half the range beyond which a reading counts as clipped: 16 bits of a converter end at 0.99997."""
@@ -57,7 +42,7 @@ class Filter(Checked):
     """A low-pass: order 1, or 2 (Butterworth); frequency [Hz] at which 0.71 of the amplitude is left."""
 
     order: Literal[1, 2]
-    frequency: Positive
+    frequency: Annotated[Positive, Quantity("Hz")]
 
 
 class CommandChannel(Checked):
@@ -83,7 +68,7 @@ class Channel(CommandChannel):
 
     zero: float = 0.0
     filter: Filter | None = None
-    delay: Annotated[float, pydantic.Field(ge=0, lt=1)] = 0.0
+    delay: Annotated[float, pydantic.Field(ge=0, lt=1), Quantity("s")] = 0.0
 
     @property
     def at_zero(self) -> float:
@@ -127,12 +112,12 @@ class Calibration:
         Names of the commands, in their order.
     sample_rate
         Hz, for the filters.
+    path
+        Of the file.
 
     Attributes
     ----------
-    file
-        As given.
-    channels
+    file, path, channels
         As given.
     commands
         Number of commands.
@@ -146,9 +131,15 @@ class Calibration:
     """
 
     def __init__(
-        self, file: CalibrationFile | None, channels: Sequence[str], commands: Sequence[str], sample_rate: float
+        self,
+        file: CalibrationFile | None,
+        channels: Sequence[str],
+        commands: Sequence[str],
+        sample_rate: float,
+        path: Path | None = None,
     ) -> None:
-        self.file = file
+        self.file, self.path = file, path
+        self._signals = channels, commands, sample_rate
         self.channels = tuple(channels)
         self.commands = len(commands)
         measured = _entries(file.channels if file else None, channels, "channels")
@@ -164,10 +155,14 @@ class Calibration:
         self.lag = tuple(delay + _filter_delay(each, sample_rate) for delay, each in zip(delays, filters, strict=True))
         """(channels,) delay and that of the filter at low frequencies [s]."""
 
+    def with_file(self, file: CalibrationFile) -> Calibration:
+        """The calibration of the same channels by another `file`."""
+        return Calibration(file, *self._signals, self.path)
+
     def reset(self) -> None:
         """Restart the filters with the next reading."""
         if self._filter is not None:
-            self._filter.begun = False
+            self._filter.begun[:] = False
 
     def measured(self, raw: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
         """One tick's readings (channels,) in SI units, filtered, and a bit for each channel at the end of its range.
@@ -224,61 +219,6 @@ class Calibration:
         return np.sort(ends, axis=1)
 
 
-def zeroed(
-    file: CalibrationFile, channels: Sequence[str], readings: ArrayLike, which: Sequence[str], limit: float, rest: float
-) -> CalibrationFile:
-    """The calibration file with new values of `zero`, at which the mean of the readings is zero.
-
-    Parameters
-    ----------
-    file
-        In use when the readings were taken.
-    channels
-        Names of the readings' channels.
-    readings
-        (samples, channels) at rest, in SI units.
-    which
-        Names of the channels to zero.
-    limit
-        Greatest `zero`, as a share of half the channel's range: several zeroings do not add up to more.
-    rest
-        Greatest standard deviation, and greatest difference between the means of the two halves of the readings, of a
-        channel at rest, likewise.
-
-    Raises
-    ------
-    AbraceError
-        Naming every channel that is not zeroed and why; then none is.
-    """
-    values = np.asarray(readings, dtype=np.float64)
-    if values.ndim != 2 or len(values) < 2 or values.shape[1] != len(channels) or not np.isfinite(values).all():
-        raise AbraceError(
-            f"zeroing: readings of shape {values.shape}, expected finite ones of {len(channels)} channels"
-        )
-    new, refused = dict(file.channels), []
-    for name in which:
-        if name not in channels:
-            raise AbraceError(f"zeroing: no channel {name!r}, expected some of {', '.join(channels)}")
-        column, old = values[:, list(channels).index(name)], file.channels[name]
-        size = UNITS[old.unit][1] * old.gain
-        half_range = size * (old.range[1] - old.range[0]) / 2
-        half = len(column) // 2
-        mean, deviation = float(column.mean()), float(column.std())
-        creep = abs(float(column[half:].mean() - column[:half].mean()))
-        unit = signals.unit(name)
-        if max(deviation, creep) > rest * half_range:
-            found, most = max(deviation, creep), rest * half_range
-            refused.append(f"{name} is not at rest ({found:.3g} {unit}, expected at most {most:.3g})")
-        elif abs(zero := mean + old.sign * size * old.zero) > limit * half_range:
-            most = limit * half_range
-            refused.append(f"{name} is {zero:.3g} {unit} from its calibrated offset, expected at most {most:.3g}")
-        else:
-            new[name] = old.model_copy(update={"zero": old.sign * zero / size})
-    if refused:
-        raise AbraceError(f"zeroing: {'; '.join(refused)}")
-    return file.model_copy(update={"channels": new})
-
-
 def _entries(
     given: dict[str, Channel] | dict[str, CommandChannel] | None, names: Sequence[str], key: str
 ) -> list[tuple[str, CommandChannel | None]]:
@@ -287,12 +227,21 @@ def _entries(
         return [(name, None) for name in names]
     expect_entries(given, names, key)
     for name, entry in given.items():
-        if entry.unit not in UNITS or UNITS[entry.unit][0] != signals.unit(name):
-            fitting = ", ".join(unit for unit, (si, _) in UNITS.items() if si == signals.unit(name))
-            raise AbraceError(f"{key}.{name}.unit: {entry.unit!r}, expected one of {fitting}")
+        try:
+            si_gain(name, entry)
+        except ValueError as error:
+            raise AbraceError(f"{key}.{name}.unit: {error}") from error
         if not entry.range[0] < entry.at_zero < entry.range[1]:
             raise AbraceError(f"{key}.{name}.range: {list(entry.range)}, expected its ends around {entry.at_zero:g}")
     return [(name, given[name]) for name in names]
+
+
+def si_gain(name: str, entry: CommandChannel) -> float:
+    """The gain of the signal `name` in its SI unit; a ValueError says what is wrong with the entry's unit."""
+    si, given = unit_of(signals.unit(name)), unit_of(entry.unit)
+    if given.dimension != si.dimension:
+        raise ValueError(f"{entry.unit!r} is another kind of quantity, expected one as {signals.unit(name)}")
+    return entry.gain * given.factor
 
 
 def _arrays(entries: Sequence[tuple[str, CommandChannel | None]]) -> tuple[NDArray[np.float64], ...]:
@@ -300,8 +249,8 @@ def _arrays(entries: Sequence[tuple[str, CommandChannel | None]]) -> tuple[NDArr
     rows = [
         (1.0, 0.0, -math.inf, math.inf)
         if entry is None
-        else (entry.sign * entry.gain * UNITS[entry.unit][1], entry.at_zero, *entry.range)
-        for _, entry in entries
+        else (entry.sign * si_gain(name, entry), entry.at_zero, *entry.range)
+        for name, entry in entries
     ]
     return tuple(np.array(rows, dtype=np.float64).reshape(-1, 4).T)
 
@@ -315,7 +264,10 @@ def _filter_delay(given: Filter | None, sample_rate: float) -> float:
 
 
 class _Filters:
-    """A second-order section for each channel, stepped together; begins at rest at the first values."""
+    """A second-order section for each channel, stepped together.
+
+    Each begins at rest at its first finite value, also after one that is not finite.
+    """
 
     def __init__(self, filters: Sequence[Filter | None], channels: Sequence[str], sample_rate: float) -> None:
         rows = []
@@ -327,17 +279,18 @@ class _Filters:
                 )
             rows.append(_section(given, sample_rate))
         self._b0, self._b1, self._b2, self._a1, self._a2 = np.array(rows).T
-        self.begun = False
+        self.begun = np.zeros(len(rows), dtype=np.bool_)
         self._first = self._second = np.zeros(len(rows))
 
     def step(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        if not self.begun:
-            self._second = (self._b2 - self._a2) * values
-            self._first = (self._b1 - self._a1) * values + self._second
-            self.begun = True
+        if not self.begun.all():
+            at_rest = (self._b2 - self._a2) * values
+            self._second = np.where(self.begun, self._second, at_rest)
+            self._first = np.where(self.begun, self._first, (self._b1 - self._a1) * values + at_rest)
         filtered = self._b0 * values + self._first
         self._first = self._b1 * values - self._a1 * filtered + self._second
         self._second = self._b2 * values - self._a2 * filtered
+        self.begun = np.isfinite(filtered)
         return filtered
 
 

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
+from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,6 +19,32 @@ if TYPE_CHECKING:
 
 class DeviceError(AbraceError):
     """The hardware fails: the message names the device, what was missing, and for how long."""
+
+
+class Wanted(IntEnum):
+    """What the rig wants of its target, which makes commands act and has a state machine and watchdog of its own."""
+
+    SAFE = 0
+    """Outputs to rest along the target's own ramp, then its brake or valve acts. The arm number is void."""
+    HOLD_ZERO = 1
+    """Powered, outputs at zero. A new arm number, `TargetStatus.last_arm` + 1, arms the target."""
+    FOLLOW = 2
+    """Outputs follow the commands, as long as the target is armed with this number."""
+
+
+class TargetStatus(NamedTuple):
+    """What the target reports of itself at one tick."""
+
+    armed: int
+    """The arm number that it follows; 0: none, it is disarmed or stopping."""
+    last_arm: int
+    """The last number that it has accepted: an old packet arms nothing."""
+    cause: str
+    """Why it has stopped; empty: it has not."""
+    applied: list[float]
+    """Outputs at this tick: the force of one brace of each group [N], the table's acceleration [m/s^2]."""
+    table: float | None = None
+    """Measured displacement of the table [m]; None: nobody measures it."""
 
 
 class Reading(NamedTuple):
@@ -29,14 +58,16 @@ class Reading(NamedTuple):
     """Bit i is set where channel i is at the end of its range."""
     missed: int
     """Ticks of the hardware since the last reading that were not answered in time."""
+    target: TargetStatus
+    """The target at that tick."""
     age: float = 0.0
     """Seconds since that tick. Its answers have so much less time; at a sample period or more the reading is late."""
-    taken: bool = True
-    """False: a command was late for that tick, or lost on the way. The next one is then the last one again, since two
-    changes would be one step at the next tick."""
-    on_the_way: int = 0
-    """How many of the last commands may not have acted at that tick where `taken`: a target or link needs as many ticks
-    more. The next one is within the rate limit of each of them, as it may arrive together with them."""
+    command_applied: bool = True
+    """False: the target had not applied the latest command at this tick: it was late, or lost. It is sent again, since
+    two changes would be one step at the next tick."""
+    commands_in_flight: int = 0
+    """Commands before the latest that the target may not have applied yet, where it needs more ticks or a link delays.
+    The next command is within the rate limit of each of them, as it may arrive together with them."""
 
 
 class Device(Protocol):
@@ -52,7 +83,7 @@ class Device(Protocol):
         """
         ...
 
-    def exchange(self, command: Sequence[float], table: float) -> Reading:
+    def exchange(self, command: Sequence[float], table: float, wanted: Wanted, arm: int) -> Reading:
         """Send a command and wait for the hardware's next tick.
 
         Parameters
@@ -61,6 +92,8 @@ class Device(Protocol):
             (groups,) force of one brace of each group [N].
         table
             The table's acceleration [m/s^2].
+        wanted, arm
+            What the target shall do, and the arm number.
 
         Raises
         ------
@@ -84,7 +117,50 @@ class Device(Protocol):
         ...
 
 
-def give_up(device: Device, error: BaseException) -> None:
+OPEN_TIME = 5.0
+"""Seconds that a device may take to open."""
+
+
+def open_device(device: Device) -> None:
+    """Open a `device`; one that raises anything but an AbraceError is made safe and closed.
+
+    Raises
+    ------
+    Exception
+        What `open` raised; a DeviceError if it has not returned within OPEN_TIME. Where it returns after all, the
+        device is made safe and closed.
+    """
+    ended = threading.Condition()
+    outcome: list[BaseException | None] = []
+    given_up = False
+
+    def act() -> None:
+        error: BaseException | None = None
+        try:
+            device.open()
+        except BaseException as raised:
+            error = raised
+        with ended:
+            outcome.append(error)
+            ended.notify()
+        if given_up and error is None:
+            with contextlib.suppress(Exception):  # nobody is left to hear it
+                device.make_safe()
+            device.close()
+
+    threading.Thread(target=act, name="open", daemon=True).start()
+    with ended:
+        if not ended.wait_for(lambda: outcome, OPEN_TIME):
+            given_up = True
+            raise DeviceError(f"the device has not opened within {OPEN_TIME:g} s")
+    (error,) = outcome
+    if error is not None:
+        if not isinstance(error, AbraceError):
+            make_safe_and_close(device, error)
+        raise error
+
+
+def make_safe_and_close(device: Device, error: BaseException) -> None:
     """Make a `device` safe and close it after an `error`, which is then raised again.
 
     Raises

@@ -13,34 +13,29 @@ from ipaddress import IPv4Address
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
-import numpy as np
 import pydantic
 
-from abrace_core import signals
-from abrace_core.config_file import Checked, read_config
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
+from abrace_core.files.config_file import Checked, read_config
+from abrace_core.files.quantity import Quantity
+from abrace_core.model import signals
 from abrace_plant.devices.calibration import Calibration, read_calibration
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Callable
 
     from abrace_plant.devices.device import Device
     from abrace_plant.rig.model import Rig
 
 GROUP = "abrace.devices"
 """Entry points of this group are kinds of devices."""
-OWN_KINDS = {"udp": "abrace_plant.devices.udp", "modbus": "abrace_plant.devices.modbus"}
+OWN_KINDS = {"udp": "abrace_plant.devices.udp"}
 """Modules of the kinds that abrace has; each has a function `load`."""
-
-LARGEST_ERROR = 0.01
-"""Share by which a device may be commanded less, or more, than the greatest force or acceleration of its rig."""
 
 Address = IPv4Address
 """Of a device, in digits."""
 PortNumber = Annotated[int, pydantic.Field(ge=1, le=65535)]
-TimeOut = Annotated[float, pydantic.Field(gt=0, le=1)]
+TimeOut = Annotated[float, pydantic.Field(gt=0, le=1), Quantity("s")]
 """Seconds."""
 
 
@@ -70,7 +65,7 @@ def load_device(path: Path | str, rig: Rig) -> Device:
     AbraceError
         Naming the file, the key, the value and what was expected.
     """
-    kind = kind_of(path)
+    kind = read_config(path, _AnyDevice, "device").kind
     if kind in OWN_KINDS:
         return cast("Device", importlib.import_module(OWN_KINDS[kind]).load(Path(path), rig))
     points = entry_points(group=GROUP)
@@ -86,17 +81,6 @@ def load_device(path: Path | str, rig: Rig) -> Device:
     return load(Path(path), rig)
 
 
-def kind_of(path: Path | str) -> str:
-    """The kind of device in a device file.
-
-    Raises
-    ------
-    AbraceError
-        If it is no device file.
-    """
-    return read_config(path, _AnyDevice, "device").kind
-
-
 def calibration_of(path: Path | str) -> Path | None:
     """The calibration file that a device file names.
 
@@ -110,36 +94,8 @@ def calibration_of(path: Path | str) -> Path | None:
 
 
 def commands_of(rig: Rig) -> tuple[str, ...]:
-    """Names of the `rig`'s commands: U of each brace group, then the table's acceleration w."""
-    return (*signals.command_names(rig.groups), signals.GROUND)
-
-
-def check_outputs(path: Path, rig: Rig, taken: Callable[[Sequence[float]], NDArray[np.float64]]) -> None:
-    """Refuse a device whose outputs end before the limits of its rig: commands would be cut without a word.
-
-    Parameters
-    ----------
-    path
-        Of the device file.
-    rig
-        The rig that the device moves.
-    taken
-        Gives the commands (commands,) in SI units that the device takes, for those that it is sent.
-
-    Raises
-    ------
-    AbraceError
-        Naming the command, its greatest value and what the device takes it for.
-    """
-    most = np.array([*rig.capacity, rig.table.peak_acceleration])
-    for wanted in (most, -most):
-        for name, one, found in zip(commands_of(rig), wanted.tolist(), taken(wanted.tolist()).tolist(), strict=True):
-            if abs(found - one) > LARGEST_ERROR * abs(one):
-                limit = "the table's peak_acceleration" if name == signals.GROUND else "the capacity"
-                raise AbraceError(
-                    f"device file {path}: {name} of {one:g} {signals.unit(name)}, {limit}, reaches the device as "
-                    f"{found:g}, expected a range in the calibration file and a type that hold it"
-                )
+    """Names of the `rig`'s commands: U of each brace group, then the table's acceleration w where abrace drives it."""
+    return (*signals.command_names(rig.groups), *([signals.GROUND] if rig.table_driven else []))
 
 
 def load_calibration(path: Path, file: DeviceFile, rig: Rig) -> Calibration:
@@ -164,6 +120,6 @@ def load_calibration(path: Path, file: DeviceFile, rig: Rig) -> Calibration:
     part_path = path.parent / file.calibration
     content = read_calibration(part_path)
     try:
-        return Calibration(content, rig.channel_names, commands_of(rig), rig.sample_rate)
+        return Calibration(content, rig.channel_names, commands_of(rig), rig.sample_rate, part_path)
     except AbraceError as error:
         raise AbraceError(f"calibration file {part_path}: {error}") from error

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import pydantic
 
-from abrace_core.config_file import Checked, read_config
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
+from abrace_core.files.config_file import Checked, read_config
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,14 +47,28 @@ LATEST = 2**63
 _COUNTERS = ("uint8", "uint16", "uint32", "uint64")
 _SPECIAL = {
     "counter": _COUNTERS,
-    "answered": _COUNTERS,
-    "enable": ("boolean", "uint8", "uint16", "uint32"),
     "time": ("int64", "uint64", "float64"),
+    "arm": ("uint32",),
+    "wanted": ("uint8", "uint16", "uint32"),
+    "state": ("uint8", "uint16", "uint32"),
+    "causes": ("uint8", "uint16", "uint32"),
+    "applied_counter": _COUNTERS,
     "crc": ("uint32",),
     "constant": (*_COUNTERS, "int8", "int16", "int32", "int64"),
     "unused": tuple(CODES),
 }
 """Fields with a meaning of their own, and the types that they may have."""
+_OWN_KEYS = {"constant": {"value"}, "unused": {"count"}, "time": {"unit", "clock"}}
+"""Keys that only one field has."""
+_NEEDED = {
+    "sample": ("constant", "counter", "time", "state", "causes", "arm", "applied_counter"),
+    "command": ("constant", "counter", "arm", "wanted"),
+}
+"""Fields that a packet must have: without one of them the target cannot say, or be told, whether it follows."""
+_ONLY_IN = {"wanted": "command", "state": "sample", "causes": "sample", "applied_counter": "sample"}
+"""Fields that only one kind of packet has."""
+STATES = 3
+"""Of a target, and of what is wanted of it: 0 to 2."""
 
 
 class Malformed(Exception):  # noqa: N818
@@ -93,12 +107,16 @@ class Content(NamedTuple):
     """The sender's life counter: the number of the tick, or of the command."""
     signals: tuple[float, ...]
     """As sent, in the order of the packet's `signals`."""
-    time: int | None
-    """By the sender's clock [ns]; None: the layout has no time."""
-    answered: int | None
-    """Counter of the last command that the target took; None: the layout has no such field."""
-    enabled: bool
-    """Whether the command is to be followed; true where the layout does not say."""
+    time: int
+    """By the sender's clock [ns]; 0 in commands without a time."""
+    arm: int
+    """Of a sample, the arm number that the target has accepted last; of a command, the one that is to be followed."""
+    state: int
+    """Of a sample, 0 disarmed, 1 armed, 2 stopping; of a command, what is wanted: 0 safe, 1 hold zero, 2 follow."""
+    causes: int = 0
+    """Of a sample: why the target has stopped, a bit for each cause."""
+    applied_counter: int = 0
+    """Of a sample: counter of the command that acts from this tick on; 0 before the first."""
 
 
 class Packet:
@@ -115,12 +133,14 @@ class Packet:
 
     Attributes
     ----------
+    signals
+        As given.
     length
         Of a packet [bytes].
     modulus
         The counter's number of values, after which it begins at zero again.
-    answered_modulus
-        That of the field `answered`; 1 where the layout has none.
+    echo_modulus
+        That of the field `applied_counter`; 1 in a command.
     resolution
         Of the time [ns]; 0 where it is a real number, or there is none.
     wall_clock
@@ -133,6 +153,7 @@ class Packet:
     """
 
     def __init__(self, layout: Layout, kind: Literal["sample", "command"], signals: Sequence[str]) -> None:
+        self.signals = tuple(signals)
         fields: list[Field] = getattr(layout, kind)
         _check_fields(fields, kind, signals)
         by_name = {name: entry for entry in fields for name in entry.names}
@@ -157,14 +178,17 @@ class Packet:
         self._order: Literal["little", "big"] = layout.byte_order
         self.length = length
         self.modulus = _modulus(by_name["counter"])
-        self.answered_modulus = _modulus(by_name["answered"]) if "answered" in by_name else 1
+        self.echo_modulus = _modulus(by_name["applied_counter"]) if kind == "sample" else 1
         self.wall_clock = "time" in by_name and by_name["time"].clock == "wall"
         self._unit = NANOSECONDS[by_name["time"].unit] if "time" in by_name else 1
         self._whole_time = "time" in by_name and by_name["time"].type != "float64"
         self.resolution = self._unit if self._whole_time else 0
         self._crc = "crc" in by_name
-        self._counter = place["counter"]
-        self._time, self._answered, self._enable = (place.get(name) for name in ("time", "answered", "enable"))
+        self._counter, self._arm, self._state = (
+            place[name] for name in ("counter", "arm", "state" if kind == "sample" else "wanted")
+        )
+        self._time = place.get("time")
+        self._of_sample = (place["causes"], place["applied_counter"]) if kind == "sample" else None
         self._places = [place[name] for name in signals]
         first = min(self._places)
         self._run = (
@@ -173,7 +197,14 @@ class Packet:
         self._bounds = [_bounds(by_name[name].type) for name in signals]
 
     def encode(
-        self, signals: Sequence[float], counter: int, time: int = 0, answered: int = 0, enable: bool = True
+        self,
+        signals: Sequence[float],
+        counter: int,
+        time: int = 0,
+        arm: int = 0,
+        state: int = 0,
+        causes: int = 0,
+        applied_counter: int = 0,
     ) -> bytes:
         """A packet; values of whole-number types are rounded, and cut at the ends of their types.
 
@@ -185,19 +216,16 @@ class Packet:
             Life counter; wraps.
         time
             By the sender's clock [ns].
-        answered
-            Counter of the last command taken; wraps.
-        enable
-            Whether the command is to be followed.
+        arm, state, causes, applied_counter
+            As in `Content`; the last two of a sample alone, its counter wraps.
         """
         values = list(self._blank)
         values[self._counter] = counter % self.modulus
         if self._time is not None:
             values[self._time] = time // self._unit if self._whole_time else time / self._unit
-        if self._answered is not None:
-            values[self._answered] = answered % self.answered_modulus
-        if self._enable is not None:
-            values[self._enable] = int(enable)
+        values[self._arm], values[self._state] = arm, state
+        if self._of_sample is not None:
+            values[self._of_sample[0]], values[self._of_sample[1]] = causes, applied_counter % self.echo_modulus
         for place, bounds, value in zip(self._places, self._bounds, signals, strict=True):
             values[place] = value if bounds is None else min(max(round(value), bounds[0]), bounds[1])
         packed = self._struct.pack(*values)
@@ -213,7 +241,8 @@ class Packet:
         Raises
         ------
         Malformed
-            Naming what is wrong: "wrong_length", "wrong_crc", "wrong_constant", "not_finite" or "wrong_time".
+            Naming what is wrong: "wrong_length", "wrong_crc", "wrong_constant", "not_finite", "wrong_time" or
+            "wrong_state".
         """
         if len(packet) != self.length:
             raise Malformed("wrong_length")
@@ -231,13 +260,11 @@ class Packet:
         nanoseconds = time * self._unit
         if abs(nanoseconds) >= LATEST:
             raise Malformed("wrong_time")
-        return Content(
-            values[self._counter],
-            signals,
-            round(nanoseconds) if self._time is not None else None,
-            values[self._answered] if self._answered is not None else None,
-            bool(values[self._enable]) if self._enable is not None else True,
-        )
+        state = values[self._state]
+        if state >= STATES:
+            raise Malformed("wrong_state")
+        causes, applied = (values[place] for place in self._of_sample) if self._of_sample is not None else (0, 0)
+        return Content(values[self._counter], signals, round(nanoseconds), values[self._arm], state, causes, applied)
 
 
 def read_layout(path: Path | str) -> Layout:
@@ -261,20 +288,28 @@ def _check_fields(fields: list[Field], kind: str, signals: Sequence[str]) -> Non
             if not (alone or name in signals) or (alone and isinstance(entry.field, list)):
                 known = ", ".join([*_SPECIAL, *signals])
                 raise AbraceError(f"{where}.field: {name!r}, expected one of {known}")
+            if _ONLY_IN.get(name, kind) != kind:
+                raise AbraceError(f"{where}.field: {name!r}, expected in a {_ONLY_IN[name]}")
             if name in seen and name not in ("constant", "unused"):
                 raise AbraceError(f"{where}.field: {name!r} appears twice")
             if alone and entry.type not in _SPECIAL[name]:
                 raise AbraceError(f"{where}.type: {entry.type} for {name}, expected {', '.join(_SPECIAL[name])}")
             seen.add(name)
+        for owner, keys in _OWN_KEYS.items():
+            if wrong := sorted(keys & entry.model_fields_set if entry.field != owner else ()):
+                raise AbraceError(
+                    f"{where}.{wrong[0]}: {getattr(entry, wrong[0])}, expected for the field {owner} alone"
+                )
         if entry.field == "crc" and number != len(fields) - 1:
             raise AbraceError(f"{where}.field: crc, expected at the end of the packet")
-        if (entry.field == "constant") != (entry.value is not None):
-            raise AbraceError(f"{where}.value: {entry.value}, expected one for the field constant and for no other")
+        if entry.field == "constant" and entry.value is None:
+            raise AbraceError(f"{where}.value: key is missing")
         bounds = _bounds(entry.type)
         if entry.value is not None and bounds is not None and not bounds[0] <= entry.value <= bounds[1]:
             raise AbraceError(f"{where}.value: {entry.value}, expected {bounds[0]} to {bounds[1]} ({entry.type})")
-    if missing := [name for name in ("counter", *signals) if name not in seen]:
-        raise AbraceError(f"{kind}: no field {', '.join(missing)}, expected counter, {', '.join(signals)}")
+    needed = (*_NEEDED[kind], *signals)
+    if missing := [name for name in needed if name not in seen]:
+        raise AbraceError(f"{kind}: no field {', '.join(missing)}, expected {', '.join(needed)}")
 
 
 def _modulus(entry: Field) -> int:

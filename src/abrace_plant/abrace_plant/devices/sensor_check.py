@@ -4,7 +4,8 @@
 A floor's accelerometer reads the second derivative of its displacement plus the table's acceleration, for any
 building; a brace's stroke is `cosine` times the drift of its storey. So with enough motion in a record every channel
 can be predicted from others. A channel that agrees with another floor's prediction, but not with its own, is swapped;
-one that agrees with reversed sign has the wrong sign. Both are compared in the frequency domain, each frequency
+one that agrees with reversed sign has the wrong sign. The table's accelerometer is one for all floors: where every
+floor that follows it tells the same gain, it is that one's. Both are compared in the frequency domain, each frequency
 weighted by the noise that the two sides have there. The braces of a group have the same command and the same drift:
 their load cells read the same force.
 """
@@ -17,9 +18,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from abrace_core import signals
-from abrace_core.errors import AbraceError
-from abrace_plant.rig.over_range import OverRange
+from abrace_core import AbraceError
+from abrace_core.model import signals
+from abrace_plant.rig.sensors import OverRange
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -214,10 +215,14 @@ def _compare(
     a = spectra[:, floors + groups : 2 * floors + groups]
     power = float((window**2).sum())
     x_noise, a_noise = noise[0], noise[floors + groups]
+    weight = 1 / (power * (a_noise**2 + (squares * x_noise) ** 2))
+    table = spectra[:, -1:]
+    if np.vdot(table, table).real >= NOISY**2 * noise[-1] ** 2 * power * len(table):
+        table = table / _table_gain(table, a, squares * x, weight, names[-1], faults[-1])
     motion = _judge(
         a,
-        spectra[:, -1:] - squares * x,
-        1 / (power * (a_noise**2 + (squares * x_noise) ** 2)),
+        table - squares * x,
+        weight,
         [names[floors + groups + i] for i in range(floors)],
         [names[i] for i in range(floors)],
         faults[floors + groups : 2 * floors + groups],
@@ -227,13 +232,50 @@ def _compare(
         [group.cosine * (x[:, group.floor - 1] - below[:, group.floor - 1]) for group in rig.braces]
     )
     storeys = [f"the drift of storey {group.floor}" for group in rig.braces]
-    weight = np.full_like(squares, 1 / (power * (noise[floors] ** 2 + 2 * x_noise**2)))
+    even = np.full_like(squares, 1 / (power * (noise[floors] ** 2 + 2 * x_noise**2)))
     strokes = list(names[floors : floors + groups])
     first = 2 * floors + groups
     for count in rig.braces_in_group:
         _compare_cells(spectra[:, first : first + count], noise[first] ** 2 * power, names[first:], faults[first:])
         first += count
-    return _judge(stroke, drifts, weight, strokes, storeys, faults[floors : floors + groups]) and motion
+    return _judge(stroke, drifts, even, strokes, storeys, faults[floors : floors + groups]) and motion
+
+
+def _table_gain(
+    table: NDArray[np.complex128],
+    a: NDArray[np.complex128],
+    restoring: NDArray[np.complex128],
+    weight: NDArray[np.float64],
+    name: str,
+    faults: list[str],
+) -> float:
+    """How many times the table's acceleration its sensor reads, by the floors that follow it; 1: well, or not known.
+
+    `table` (frequencies, 1) is its reading; `a` and `restoring`, -x'' (frequencies, floors), add up to what it should
+    read, also where all accelerometers read in another unit.
+    """
+    own = float(np.sum(weight * np.abs(table) ** 2))
+    for scale in (1.0, *signals.OTHER_UNITS["a"].values()):
+        seen = a / scale + restoring
+        factors = np.real(np.sum(weight * table.conj() * seen, axis=0)) / (own or 1.0)
+        left = np.sum(weight * np.abs(seen - factors * table) ** 2, axis=0)
+        size = np.sum(weight * np.abs(seen) ** 2, axis=0)
+        factors = factors[(left < FITS * size) & (size >= MOTION**2 * len(seen))]
+        if len(factors):
+            break
+    if not len(factors) or np.ptp(factors) > GAIN_ERROR * np.abs(factors).min():
+        return 1.0
+    gain = float(1 / np.median(factors))
+    if abs(gain - 1) <= GAIN_ERROR:
+        return 1.0
+    others = "what the floors' displacements and accelerations tell"
+    if gain < 0:
+        faults.append(f"wrong sign: {name} against {others}")
+    if unit := signals.read_as(name, gain):
+        faults.append(f"unit: {name} reads as if in {unit}, {abs(gain):.3g} times {others}")
+    elif abs(abs(gain) - 1) > GAIN_ERROR:
+        faults.append(f"gain: {abs(gain):.3g} times {others}")
+    return gain
 
 
 def _compare_cells(
@@ -272,11 +314,12 @@ def _judge(
         return np.real((weight * one).conj().T @ other)
 
     own, other = np.diag(products(measured, measured)), np.diag(products(predicted, predicted))
-    if min(own.min(), other.min()) < MOTION**2 * len(measured) or any(
-        "dead" in text for each in faults for text in each
-    ):
-        return False
     cross = products(measured, predicted)
+    # in a greater unit a signal has little power, and follows all the same
+    alike = np.diag(cross) ** 2 > (1 - FITS) * own * other
+    moves = (own >= MOTION**2 * len(measured)) | alike
+    if other.min() < MOTION**2 * len(measured) or not moves.all() or any("dead" in t for each in faults for t in each):
+        return False
     left = (own[:, None] + other[None, :] - 2 * np.abs(cross)) / own[:, None]
     rows, columns = linear_sum_assignment(left)
     for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
@@ -286,8 +329,14 @@ def _judge(
         else:
             j_or_i = i
         gain = cross[i, j_or_i] / other[j_or_i]
-        if gain < 0 and left[i, j_or_i] < 1:
+        # in another unit a signal leaves more than its power, however well it follows
+        follows = left[i, j_or_i] < 1 or cross[i, j_or_i] ** 2 > (1 - FITS) * own[i] * other[j_or_i]
+        if gain < 0 and follows:
             faults[i].append(f"wrong sign: {names[i]} against {sources[j_or_i]}")
-        if abs(abs(gain) - 1) > GAIN_ERROR and left[i, j_or_i] < 1:
+        pair = (names[i], gain), (sources[j_or_i], 1 / gain)
+        units = [f"{name} reads as if in {unit}" for name, factor in pair if (unit := signals.read_as(name, factor))]
+        if follows and units:
+            faults[i].append(f"unit: {units[0]}, {abs(gain):.3g} times that of {sources[j_or_i]}")
+        elif abs(abs(gain) - 1) > GAIN_ERROR and follows:
             faults[i].append(f"gain: {abs(gain):.3g} times that of {sources[j_or_i]}")
     return True

@@ -12,30 +12,30 @@ import select
 import socket
 import time
 from collections import Counter, deque
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
+import pydantic
 
-from abrace_core.config_file import read_config
-from abrace_core.errors import AbraceError
-from abrace_plant.devices.device import DeviceError, Reading
+from abrace_core import AbraceError
+from abrace_core.files.config_file import read_config
+from abrace_core.model import signals
+from abrace_plant.devices.c_target import ARMED, causes_in_words
+from abrace_plant.devices.device import DeviceError, Reading, TargetStatus, Wanted
 from abrace_plant.devices.file import (
     Address,
     DeviceFile,
     PortNumber,
     TimeOut,
-    check_outputs,
     commands_of,
     load_calibration,
 )
 from abrace_plant.devices.layout import Content, Malformed, Packet, read_layout
-from abrace_plant.devices.succession import RATE_ERROR, Succession, TargetClock
+from abrace_plant.devices.succession import Succession, TargetClock
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
-
-    from numpy.typing import NDArray
 
     from abrace_plant.devices.calibration import Calibration
     from abrace_plant.rig.model import Rig
@@ -43,22 +43,27 @@ if TYPE_CHECKING:
 OPEN_TIME = 2.0
 """Seconds that `open` waits for a target's samples."""
 ASKING_PERIOD = 0.01
-"""Seconds between commands with zero force that do not enable, which `open` sends."""
+"""Seconds between the commands that `open` sends, which ask for nothing but a safe target."""
 BUFFER = 1 << 20
 """Bytes of packets that the socket buffers, as far as the system allows."""
 LARGEST_RESOLUTION = 0.25
 """Of a target's time, in ticks: counter and time have to agree better than to half a tick."""
 SLOWER = 10
 """Ticks in a row with more commands on the way than before, after which the link or the target counts as slower."""
+LARGEST_ERROR = 0.01
+"""Share by which the target may be commanded less, or more, than the greatest force or acceleration of its rig."""
 LAST_COMMANDS = 3
-"""Packets with `enable` 0 that `make_safe` sends; several, as packets may be lost."""
+"""Packets with which `make_safe` asks for a safe target; several, as packets may be lost."""
+TABLE = "table_displacement"
+"""Field of a sample with the table's measured displacement [m], where it is measured."""
 
 
 class UdpFile(DeviceFile):
     """A device file of the kind udp.
 
     Commands go to `address` and `port`; samples come from `address` and `source_port` (else `port`) to `local_port` of
-    `local_address` (else of any of this computer's). `timeout` [s] is how long a sample may stay away.
+    `local_address` (else of any of this computer's). `timeout` [s] is how long a sample may stay away; `life_time` [s],
+    as set at the target, after how long without a new command it stops by itself.
     """
 
     kind: Literal["udp"]
@@ -69,6 +74,13 @@ class UdpFile(DeviceFile):
     local_address: Address = Address("0.0.0.0")
     local_port: PortNumber
     timeout: TimeOut = 0.02
+    life_time: TimeOut = 0.05
+
+    @pydantic.model_validator(mode="after")
+    def _target_outlasts_us(self) -> Self:
+        if self.timeout >= self.life_time:
+            raise ValueError(f"timeout {self.timeout:g} below the target's life_time, {self.life_time:g}")
+        return self
 
     @property
     def sender(self) -> tuple[str, int]:
@@ -92,11 +104,19 @@ def load(path: Path, rig: Rig) -> UdpDevice:
             f"unit that distinguishes ticks of {rig.sample_rate:g} Hz"
         )
     calibration = load_calibration(path, file, rig)
-
-    def taken(values: Sequence[float]) -> NDArray[np.float64]:
-        return calibration.commanded(commands.decode(commands.encode(calibration.outputs(values), 1)).signals)
-
-    check_outputs(path, rig, taken)
+    # a device whose outputs end before the limits of its rig would cut commands without a word
+    most = np.array([*rig.capacity, rig.table.peak_acceleration])[: calibration.commands]
+    for wanted in (most, -most):
+        sent = commands.decode(commands.encode(calibration.outputs(wanted.tolist()), 1)).signals
+        for name, one, found in zip(
+            commands_of(rig), wanted.tolist(), calibration.commanded(sent).tolist(), strict=True
+        ):
+            if abs(found - one) > LARGEST_ERROR * abs(one):
+                limit = "the table's peak_acceleration" if name == signals.GROUND else "the capacity"
+                raise AbraceError(
+                    f"device file {path}: command {name}: the device puts out at most {found:g} {signals.unit(name)}, "
+                    f"expected {limit}, {one:g}: widen the command's range in the calibration file, or its type"
+                )
     return UdpDevice(file, samples, commands, calibration, rig.sample_rate)
 
 
@@ -110,8 +130,14 @@ def packets(path: Path, file: UdpFile, rig: Rig) -> tuple[Packet, Packet]:
     """
     part_path = path.parent / file.layout
     layout = read_layout(part_path)
+    names = [name for entry in layout.sample for name in entry.names]
+    given = [
+        *rig.channel_names,
+        *(f"applied_{name}" for name in commands_of(rig)),
+        *([TABLE] if TABLE in names else []),
+    ]
     try:
-        return Packet(layout, "sample", rig.channel_names), Packet(layout, "command", commands_of(rig))
+        return Packet(layout, "sample", given), Packet(layout, "command", commands_of(rig))
     except AbraceError as error:
         raise AbraceError(f"layout file {part_path}: {error}") from error
 
@@ -124,7 +150,8 @@ class UdpDevice:
     file
         The device file.
     samples
-        Packet of a sample, its signals in the order of a reading.
+        Packet of a sample: its signals in the order of a reading, the outputs as applied, and the table's displacement
+        where that is measured.
     commands
         Packet of a command, its signals U of each group, then w.
     calibration
@@ -156,7 +183,7 @@ class UdpDevice:
         self._name = f"udp device {file.address}:{file.port}"
         self._sender, self._to = file.sender, (str(file.address), file.port)
         self._samples, self._commands = samples, commands
-        self._echo = min(commands.modulus, samples.answered_modulus)
+        self._echo = min(commands.modulus, samples.echo_modulus)
         self._still = [0.0] * calibration.commands
         self._period = 1e9 / sample_rate
         self._allowed = max(2, round(file.timeout * sample_rate))
@@ -199,29 +226,31 @@ class UdpDevice:
                 if time.monotonic() > end:
                     found = self._found_instead(self.dropped)
                     raise DeviceError(f"{self._name}: no valid samples within {OPEN_TIME:g} s; {found}")
-                self._send(self._last_outputs, enable=False)
+                self._send(Wanted.SAFE, 0)
                 self._next(time.monotonic() + ASKING_PERIOD, newest=True)
         except DeviceError:
             self.close()
             raise
 
-    def exchange(self, command: Sequence[float], table: float) -> Reading:
+    def exchange(self, command: Sequence[float], table: float, wanted: Wanted, arm: int) -> Reading:
         """Send `command` (groups,) [N] and the `table`'s acceleration [m/s^2]; wait for the target's next sample.
 
         Of samples that have arrived already the oldest is taken that is not stale. `missed` counts those that were
-        stale or lost on the way. After a pause longer than the time-out the newest one is taken.
+        stale or lost on the way. After a pause longer than the time-out the newest one is taken. `wanted` and
+        `arm` are as in `Device`.
 
         Raises
         ------
         DeviceError
-            If no sample comes within the time-out, or the target has not taken a command for so long.
+            If no sample comes within the time-out, or the target has applied no command for so long while it shall
+            follow.
         """
         before = self.dropped.copy()
-        self._last_outputs = self.calibration.outputs([*command, table])
+        self._last_outputs = self.calibration.outputs([*command, table][: self.calibration.commands])
         begun = time.monotonic()
-        self._send(self._last_outputs, enable=True)
+        self._send(wanted, arm)
         paused = begun - self._exchanged > self.file.timeout
-        if paused:
+        if paused or wanted is not Wanted.FOLLOW:
             self._heard = begun
         self._exchanged = begun
         content = self._next(begun + self.file.timeout, newest=paused)
@@ -229,16 +258,24 @@ class UdpDevice:
             found = self._found_instead(self.dropped - before)
             self._begin()
             raise DeviceError(f"{self._name}: no sample for {1e3 * self.file.timeout:g} ms; {found}")
-        if content.answered is not None and time.monotonic() - self._heard > self.file.timeout:
+        if time.monotonic() - self._heard > self.file.timeout and content.state == ARMED:
             self._exchanged = 0.0
-            raise DeviceError(f"{self._name}: has not taken a command for {1e3 * self.file.timeout:g} ms")
-        values, clipped = self.calibration.measured(np.array(content.signals, dtype=np.float64))
-        return Reading(values, self._stamp, clipped, self._ticks - 1, self._age, *self._taken(content))
+            raise DeviceError(f"{self._name}: has applied no command for {1e3 * self.file.timeout:g} ms")
+        armed = content.state == ARMED
+        channels, commands = len(self.calibration.channels), self.calibration.commands
+        values, clipped = self.calibration.measured(np.array(content.signals[:channels], dtype=np.float64))
+        target = TargetStatus(
+            content.arm if armed else 0,
+            content.arm,
+            "" if armed else causes_in_words(content.causes),
+            self.calibration.commanded(content.signals[channels : channels + commands]).tolist(),
+            content.signals[-1] if len(content.signals) > channels + commands else None,
+        )
+        applied = self._applied(content) if wanted is Wanted.FOLLOW and armed else (True, 0)
+        return Reading(values, self._stamp, clipped, self._ticks - 1, target, self._age, *applied)
 
     def make_safe(self) -> None:
-        """Tell the target to bring force and table to rest by itself, and send nothing more: its life counter stops.
-
-        Zero force from here would be a step of it: the target has the ramp.
+        """Tell the target to bring force and table to rest along its own ramp, and send nothing more.
 
         Raises
         ------
@@ -247,7 +284,7 @@ class UdpDevice:
         """
         try:
             for _ in range(LAST_COMMANDS):
-                self._send(self._last_outputs, enable=False)
+                self._send(Wanted.SAFE, 0)
         except DeviceError as error:
             raise DeviceError(f"not made safe, the target has to watch the life counter: {error}") from error
 
@@ -268,19 +305,18 @@ class UdpDevice:
         self._clock = TargetClock()
         self._exchanged = self._heard = 0.0
         self._used = time.monotonic_ns()
-        self._answered: int | None = None
+        self._last_echo = -1
         self._usual, self._slower = self._echo, 0
-        self._tick_0: int | None = None
         self._waiting: deque[tuple[Content, int, int, float]] = deque()
         self._stamp = self._newest = self._since = self._ticks = 0
         self._age = 0.0
         self.calibration.reset()
 
-    def _send(self, outputs: list[float], enable: bool) -> None:
+    def _send(self, wanted: Wanted, arm: int) -> None:
         if self._socket is None:
             raise DeviceError(f"{self._name}: not open")
         self._counter += 1
-        packet = self._commands.encode(outputs, self._counter, time.time_ns(), enable=enable)
+        packet = self._commands.encode(self._last_outputs, self._counter, time.time_ns(), arm, wanted)
         try:
             self._socket.sendto(packet, self._to)
         except BlockingIOError:
@@ -335,11 +371,7 @@ class UdpDevice:
         longest = self._allowed + int((now - self._used) / self._period)
         self._since += self._order.advance(content.counter, content.time, longest)
         self._used = now
-        if self._samples.wall_clock and content.time is not None:
-            age = float(wall - content.time)
-        else:
-            own = content.time if content.time is not None else self._by_ticks(now)
-            age = self._clock.age(own, now)
+        age = float(wall - content.time) if self._samples.wall_clock else self._clock.age(content.time, now)
         if abs(age) > 1e9 * self.file.timeout:
             raise Malformed("stale")
         stamp = wall - round(age + 1e9 * self.calibration.delay)
@@ -348,16 +380,14 @@ class UdpDevice:
         self._newest = stamp if was_set_back else max(stamp, self._newest + 1)
         self._waiting.append((content, self._newest, self._since, now - age))
         self._since = 0
-        if content.answered is not None and content.answered != self._answered:
-            behind = (self._counter - content.answered) % self._echo
+        if content.applied_counter != self._last_echo:
+            behind = (self._counter - content.applied_counter) % self._echo
             if behind <= self._allowed:
-                self._answered, self._heard = content.answered, time.monotonic()
+                self._last_echo, self._heard = content.applied_counter, time.monotonic()
 
-    def _taken(self, content: Content) -> tuple[bool, int]:
+    def _applied(self, content: Content) -> tuple[bool, int]:
         """Whether at this sample's tick no more commands were on the way than usual, and how many usually are."""
-        if content.answered is None:
-            return True, 0
-        behind = (self._counter - content.answered) % self._echo
+        behind = (self._counter - content.applied_counter) % self._echo
         if behind > self._usual:
             self.commands_late += 1
             self._slower += 1
@@ -365,15 +395,6 @@ class UdpDevice:
                 return False, self._usual
         self._usual, self._slower = behind, 0
         return True, behind
-
-    def _by_ticks(self, now: int) -> int:
-        """Time of a target that sends none, by its ticks, at `now`, both [ns]; they may not run ahead of our clock."""
-        own = round(self._order.ticks * self._period)
-        if self._tick_0 is None:
-            self._tick_0 = now - own
-        if own - (now - self._tick_0) > 1e9 * self.file.timeout + RATE_ERROR * own:
-            raise Malformed("wrong_time")
-        return own
 
     def _found_instead(self, dropped: Counter[str]) -> str:
         """A text that lists what was received and not used."""

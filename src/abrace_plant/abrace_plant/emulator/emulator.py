@@ -2,8 +2,9 @@
 """The emulator: a target that ticks by its own clock behind a port, with faults on demand.
 
 A fault is a text: `loss=0.01` (in both directions), `sample.delay=0.005` or `command.loss=0.2` (in one), `freeze=0.1`
-(the target does nothing for so many seconds), `a2=stuck` (a sensor, as for the node `plant`). With `@SECONDS` it begins
-so long after the start. `loss=0` ends a fault of the link, `clear` ends all.
+(the target does nothing for so many seconds), `stop=64` (the target stops by itself, for a cause of its own: the bit of
+docs/target.md), `a2=stuck` (a sensor, as for the node `plant`). With `@SECONDS` it begins so long after the start.
+`loss=0` ends a fault of the link, `clear` ends all but a stop.
 """
 
 from __future__ import annotations
@@ -18,14 +19,12 @@ from dataclasses import fields
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from abrace_core.config_file import read_config
-from abrace_core.errors import AbraceError
-from abrace_plant.devices.file import kind_of, load_calibration
-from abrace_plant.devices.modbus import ModbusFile, register_blocks
-from abrace_plant.devices.udp import UdpFile, packets
+from abrace_core import AbraceError
+from abrace_core.files.config_file import read_config
+from abrace_plant.devices.c_target import ARMED
+from abrace_plant.devices.udp import UdpFile
 from abrace_plant.emulator.link import Faults
-from abrace_plant.emulator.modbus_port import ModbusPort
-from abrace_plant.emulator.ports import Port, UdpPort
+from abrace_plant.emulator.port import Port
 from abrace_plant.emulator.target import Target
 from abrace_plant.rig.sensors import parse_fault
 
@@ -39,41 +38,7 @@ if TYPE_CHECKING:
 LONGEST_CATCH_UP = 0.02
 """Seconds of late ticks whose samples are still sent, one after the other; further ones are missed."""
 LINK_FAULTS = tuple(field.name for field in fields(Faults))
-FREEZE = "freeze"
-
-
-def target_port(path: Path, rig: Rig, target: Target, bridge: str, seed: int) -> Port:
-    """The port of a `target` as the device file at `path` says, seen from the other end.
-
-    Parameters
-    ----------
-    path
-        Of the device file.
-    rig
-        The rig.
-    target
-        Who takes commands.
-    bridge
-        Address that samples are sent to.
-    seed
-        Of what happens by chance.
-
-    Raises
-    ------
-    AbraceError
-        Naming the file, the key, the value and what was expected.
-    """
-    kind = kind_of(path)
-    if kind == "udp":
-        file = read_config(path, UdpFile, "device")
-        samples, commands = packets(path, file, rig)
-        return UdpPort(file, samples, commands, load_calibration(path, file, rig), target, bridge, seed)
-    if kind == "modbus":
-        modbus = read_config(path, ModbusFile, "device")
-        _, inputs, outputs = register_blocks(path, modbus, rig)
-        address = str(modbus.address), modbus.port
-        return ModbusPort(address, inputs, outputs, load_calibration(path, modbus, rig), target)
-    raise AbraceError(f"device file {path}: kind: {kind!r}, expected one that can be emulated: udp, modbus")
+FREEZE, STOP = "freeze", "stop"
 
 
 class Emulator:
@@ -85,8 +50,6 @@ class Emulator:
         Of the device file.
     rig
         The rig; its sample rate is that of the ticks.
-    bridge
-        Address that samples are sent to.
     seed
         Of the sensors' noise and of what happens by chance.
     faults
@@ -97,15 +60,21 @@ class Emulator:
     Raises
     ------
     AbraceError
-        As in `target_port`, and for a fault that there is not.
+        Naming the file, the key, the value and what was expected; a port that is taken; a fault that there is not.
     """
 
     def __init__(
-        self, path: Path, rig: Rig, bridge: str, seed: int = 0, faults: Sequence[str] = (), control_port: int = 0
+        self,
+        path: Path,
+        rig: Rig,
+        seed: int = 0,
+        faults: Sequence[str] = (),
+        control_port: int = 0,
     ) -> None:
         self._channels = rig.channel_names
-        self.target = Target(rig, seed, self._channels)
-        self.port = target_port(path, rig, self.target, bridge, seed)
+        file = read_config(path, UdpFile, "device")
+        self.target = Target(rig, seed, file.life_time)
+        self.port = Port(path, file, rig, self.target, seed)
         self._later: list[tuple[float, Callable[[], None]]] = []
         self._sensor_faults: dict[str, str] = {}
         self._frozen_until = 0.0
@@ -131,7 +100,7 @@ class Emulator:
         """Tick until `stopped` says so, or `duration` seconds have passed."""
         period = self.target.period
         self._started = due = time.monotonic()
-        listening = [*self.port.sockets, *([self._control] if self._control else [])]
+        listening = [self.port.socket, *([self._control] if self._control else [])]
         while not stopped():
             now = time.monotonic()
             if now - self._started > duration:
@@ -181,7 +150,9 @@ class Emulator:
             "late_ticks": self._late,
             "worst_late": self._worst_late,
             "stops": target.stops,
-            "following": target.following,
+            "following": target.outputs.state == ARMED,
+            "causes": target.outputs.causes,
+            "last_arm": target.outputs.last_arm,
             "worst_step": target.worst_step,
             "worst_step_over_rate_limit": target.worst_step_over_rate_limit,
             "worst_table_step": target.worst_table_step,
@@ -201,6 +172,8 @@ class Emulator:
         """What lets the fault begin or end; the whole fault has been checked before it is called."""
         if name == FREEZE:
             return partial(self._freeze, _number(text, value))
+        if name == STOP:
+            return partial(self.target.outputs.stop, _cause(text, value))
         if name in self._channels:
             if value != "well":
                 parse_fault(f"{name}={value}", self._channels, self.target.period)
@@ -208,7 +181,7 @@ class Emulator:
         direction, dot, fault = name.rpartition(".")
         links = [link for key, link in self.port.links.items() if direction == key or not dot]
         if fault not in LINK_FAULTS or not links:
-            known = ", ".join([*LINK_FAULTS, FREEZE, "clear", *self._channels])
+            known = ", ".join([*LINK_FAULTS, FREEZE, STOP, "clear", *self._channels])
             raise AbraceError(f"fault {text!r}: expected NAME=VALUE or NAME=VALUE@SECONDS, the name one of {known}")
         return partial(_set_link_fault, links, fault, _number(text, value))
 
@@ -260,3 +233,9 @@ def _number(text: str, value: str) -> float:
     if not 0 <= number < math.inf:
         raise AbraceError(f"fault {text!r}: {value!r}, expected a number, 0 or more")
     return number
+
+
+def _cause(text: str, value: str) -> int:
+    if not value.isdecimal() or not 1 <= int(value) < 2**32:
+        raise AbraceError(f"fault {text!r}: {value!r}, expected a cause, a bit of 32")
+    return int(value)

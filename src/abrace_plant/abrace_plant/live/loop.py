@@ -2,9 +2,12 @@
 """The loop of a rig, sample by sample and without ROS: checks inputs, exchanges samples with the device, finds faults.
 
 Sample k uses the answers to sample k-1: the command acts from t_k on, and the ground has the commanded acceleration at
-t_k. These are faults, after which table and braces come to rest together: an input that is missing while its force or
-table acts, two commands for one sample, a value that is not finite, a sender's own fault, samples that are late or
-missed, stops that nobody looks for, a device that fails, and a tripped interlock.
+t_k. Commands act when the target has taken a new arm number, and as long as it says that it follows with this number.
+
+These are faults, after which table and braces come to rest together: an input that is missing while its force or table
+acts, two commands for one sample, a value that is not finite, a sender's own fault, samples that are late or missed,
+stop buttons that are not polled, a device that fails, a target that does not follow, and a tripped interlock. Rest is
+what load cells and table show, not what is commanded.
 """
 
 from __future__ import annotations
@@ -14,24 +17,30 @@ from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 from abrace_core.safety.command_guard import CommandGuard
-from abrace_core.safety.rig_safety import RAMP_TIME, RigSafety
+from abrace_core.safety.rig_safety import NOT_MEASURED, RAMP_TIME, RigSafety, State
 from abrace_core.safety.table_guard import TableGuard
-from abrace_core.wire import LAST, LATE, LOCKSTEP, RATE_LIMITED, SATURATED, STOP_PRESSED, TABLE_LIMITED, Head
+from abrace_core.safety.wire import LAST, LATE, LOCKSTEP, RATE_LIMITED, SATURATED, STOP_PRESSED, TABLE_LIMITED, Head
+from abrace_plant.devices.device import Wanted
+from abrace_plant.live.rest import RestCheck
 from abrace_plant.rig.interlocks import Interlocks
-from abrace_plant.rig.over_range import OverRange
+from abrace_plant.rig.sensors import OverRange
+from abrace_plant.rig.table_file import NOT_DRIVEN
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from abrace_core.safety.rig_safety import Output
-    from abrace_plant.devices.device import Device, Reading
+    from abrace_plant.devices.device import Device, Reading, TargetStatus
     from abrace_plant.rig.model import Rig
 
 COMMAND, GROUND = "brace_command", "ground_motion"
 SLOW = 10
 """Late answers in a row after which a sender is slow."""
 LONGEST_WITHOUT_STOPS = 0.5
-"""Seconds by the clock in which somebody has to look for stops while something acts."""
+"""Seconds by the clock within which the stop buttons have to be polled while something acts."""
+TO_THE_MIDDLE = "move it to the middle, deactivate, cleanup, configure"
+ARMING_TIME = 0.2
+"""Seconds within which a target has to take a new arm number."""
 MESSAGE_BITS = 2**64 - 1
 """Channels of which a message says whether they are at the end of their range: the first 64. Interlocks watch all."""
 
@@ -51,6 +60,8 @@ class Sample(NamedTuple):
         (channels,) [displacements, strokes, accelerations, forces, ground acceleration], as measured.
     command
         (groups,) [N], in effect until this sample.
+    table
+        Displacement of the table [m]: measured, or as commanded; NaN: unknown.
     """
 
     stamp: int
@@ -58,6 +69,7 @@ class Sample(NamedTuple):
     cause: str
     reading: list[float]
     command: list[float]
+    table: float
 
 
 class _Input:
@@ -67,9 +79,9 @@ class _Input:
         self.name = name
         self.timeout = timeout
         self.pending: Sequence[float] | None = None
-        self.last: Sequence[float] = ()
+        self.last_value: Sequence[float] = ()
         self.fault = ""
-        self.answered = self.heard = -1
+        self.last_answered = self.last_heard = -1
         self.late = self.late_in_a_row = 0
 
     def receive(self, sequence: int, value: Sequence[float], now: int) -> str:
@@ -80,19 +92,19 @@ class _Input:
         self.hear(value, now)
         late = sequence != now
         self.late_in_a_row = self.late_in_a_row + 1 if late else 0
-        if sequence > now or sequence < max(self.answered, now - self.timeout):
+        if sequence > now or sequence < max(self.last_answered, now - self.timeout):
             self.late += 1
             return ""
-        if sequence == self.answered:
+        if sequence == self.last_answered:
             return f"two messages on {self.name} answer sample {sequence}, expected one sender"
         self.late += late
-        self.answered = sequence
+        self.last_answered = sequence
         self.pending = value
         return ""
 
     def hear(self, value: Sequence[float], now: int) -> None:
         """Note a message, even if it answers no sample, after sample `now`."""
-        self.heard, self.last = now, value
+        self.last_heard, self.last_value = now, value
 
     def take(self) -> Sequence[float] | None:
         """The answer that has not acted yet."""
@@ -106,16 +118,16 @@ class _Input:
 
     def silent(self, now: int) -> bool:
         """Whether the last answer is older than the time-out."""
-        return now - self.answered > self.timeout
+        return now - self.last_answered > self.timeout
 
     def moving(self, now: int) -> str:
         """Why the input is not at rest, even if its answers are too late to act; empty: it is at rest."""
-        if now - self.heard > self.timeout:
+        if now - self.last_heard > self.timeout:
             return ""
         if self.fault:
             return f"{self.name}: its sender reports a fault: {self.fault}"
-        if any(self.last):
-            return f"{self.name} still requests {', '.join(f'{value:g}' for value in self.last)}"
+        if any(self.last_value):
+            return f"{self.name} still requests {', '.join(f'{value:g}' for value in self.last_value)}"
         return ""
 
 
@@ -157,7 +169,11 @@ class RigLoop:
     clipped
         By channel, readings so far at an end of its range.
     ending
-        Set to end the run, with the first sample at which all is at rest.
+        Set to end the run, with the first sample at which all is at rest, after a fault or stop as measured.
+    give_up
+        Set to end it after the ramp even if a force is still measured, or not yet.
+    began
+        Number of the first sample after the arming and the fade, or after a fault meanwhile; -1: none yet.
     ended
         Whether that sample has been taken.
     """
@@ -179,23 +195,29 @@ class RigLoop:
         assert isinstance(braces, CommandGuard)
         assert isinstance(table, TableGuard)
         self._braces, self._table = braces, table
+        self._table_driven = rig.table_driven
         self.interlocks = Interlocks(rig)
+        self._rest = RestCheck(rig, self.interlocks.table["force_error"])
         self._over_range = OverRange(rig.channel_sensors)
         self._names = rig.channel_names
         self.clipped = dict.fromkeys(self._names, 0)
         self._watched = safety.acting
         self._inputs = {COMMAND: _Input(COMMAND, timeout), GROUND: _Input(GROUND, timeout)}
         self._stamps: deque[tuple[int, int]] = deque(maxlen=timeout + 1)
+        self._target: TargetStatus | None = None
+        self._arm = 0
+        self._asked_since: int | None = None
+        self._longest_arming = round(ARMING_TIME * rig.sample_rate)
         self._late_limit = late_limit
         self._late_in_a_row = 0
         self._unwatched_limit = math.inf if lockstep else round(LONGEST_WITHOUT_STOPS * rig.sample_rate)
-        self._stops_at = 0
+        self._stops_polled_at = 0
         self._until_now = self._braces.value
         self._flags = LOCKSTEP if lockstep else 0
         self.run = run
-        self.sequence = -1
+        self.sequence = self.began = -1
         self.late = self.missed = self.old = 0
-        self.ending = self.ended = False
+        self.ending = self.give_up = self.ended = False
 
     def receive_command(self, run: int, sequence: int, force: Sequence[float], fault: str) -> None:
         """Accept a BraceCommand: `force` (groups,) [N] answers sample `sequence` of a `run`; `fault`: its sender's."""
@@ -212,6 +234,8 @@ class RigLoop:
 
     def receive_ground_acceleration(self, stamp: int, acceleration: float) -> None:
         """Accept a ground `acceleration` [m/s^2] in answer to the sample with this stamp [ns]."""
+        if not self._table_driven:
+            self._safety.fault(f"{GROUND}: {NOT_DRIVEN}")
         sequence = next((number for known, number in reversed(self._stamps) if known == stamp), -1)
         if sequence < 0:
             self.old += 1
@@ -219,30 +243,47 @@ class RigLoop:
         elif problem := self._inputs[GROUND].receive(sequence, [acceleration], self.sequence):
             self._safety.fault(problem)
 
-    def answered(self, name: str) -> bool:
+    def has_answer(self, name: str) -> bool:
         """Whether the last sample has been answered on the topic `name`: `brace_command` or `ground_motion`."""
-        return self._inputs[name].answered == self.sequence
+        return self._inputs[name].last_answered == self.sequence
 
-    def all_answered(self) -> bool:
+    def has_all_answers(self) -> bool:
         """Whether everyone who answers has answered the last sample."""
         now = self.sequence
-        return all(one.answered == now for one in self._inputs.values() if not one.silent(now))
+        return all(one.last_answered == now for one in self._inputs.values() if not one.silent(now))
 
     def slow_sender(self) -> bool:
         """Whether there is someone whose last answers were all late."""
         return any(one.slow for one in self._inputs.values())
 
-    def quick_answered(self) -> bool:
+    def has_quick_answers(self) -> bool:
         """Whether everyone has answered the last sample but those whose last answers were all late."""
         now = self.sequence
-        return all(one.answered == now for one in self._inputs.values() if not (one.slow or one.silent(now)))
+        return all(one.last_answered == now for one in self._inputs.values() if not (one.slow or one.silent(now)))
 
     def moving(self) -> str:
-        """Which input is not at rest, and why; empty: all are."""
-        return "; ".join(filter(None, (one.moving(self.sequence) for one in self._inputs.values())))
+        """Why commands may not act; empty: they may.
 
-    def act(self, samples: int = 1) -> tuple[list[float], float]:
-        """Force (groups,) [N] and table acceleration [m/s^2] that act from the next sample on.
+        An input is not at rest, the table may be anywhere or stands where its interlock would trip at once, or rest has
+        not been measured since the last fault or stop.
+        """
+        if moving := "; ".join(filter(None, (one.moving(self.sequence) for one in self._inputs.values()))):
+            return f"{moving}, expected every input at rest first"
+        if self._table.lost and (self._target is None or self._target.table is None):
+            return f"position of the table unknown, the device or its target stopped while it moved: {TO_THE_MIDDLE}"
+        place, limit = self._table.turning_point, self.interlocks.table.get("table_displacement")
+        if self._table_driven and limit and limit.action == "stop" and abs(place) > limit.value:
+            return (
+                f"table {place:.3g} m from its middle, limit {limit.value:g} (interlocks.table_displacement): "
+                f"{TO_THE_MIDDLE}"
+            )
+        if not (self._rest_known or self._safety.measured):
+            seconds = self._rest.remaining * self._period
+            return f"{NOT_MEASURED}{seconds:.2f} s of force still to be measured"
+        return ""
+
+    def act(self, samples: int = 1) -> tuple[list[float], float, Wanted, int]:
+        """Force (groups,) [N] and table acceleration [m/s^2] from the next sample on, what is wanted, the arm number.
 
         `samples`: sample periods since the last call.
         """
@@ -250,9 +291,40 @@ class RigLoop:
         if self._safety.acting:
             for given, output in zip(self._inputs.values(), self._safety.outputs, strict=True):
                 if output.moving and given.silent(self.sequence):
-                    self._safety.fault(f"no {given.name} for {self.sequence - given.answered} samples")
+                    self._safety.fault(f"no {given.name} for {self.sequence - given.last_answered} samples")
         self._safety.act([given.take() for given in self._inputs.values()], samples)
-        return self._braces.value, self._table.value[0]
+        return self._braces.value, self._table.value[0], *self._wanted()
+
+    def _wanted(self) -> tuple[Wanted, int]:
+        """What is wanted of the target, and the arm number; 0: it is void."""
+        if self._safety.state is State.ARMING and self._target is not None:
+            if not (problem := self.moving()):
+                if self._asked_since is None:
+                    self._asked_since = self.sequence
+                self._arm = self._target.last_arm % (2**32 - 1) + 1  # 0 is none
+                return Wanted.HOLD_ZERO, self._arm
+            self._safety.fault(problem)  # before the target has power
+        self._asked_since = None
+        if self._safety.at_rest or self._safety.state is State.NOT_AT_REST:
+            self._arm = 0
+        return (Wanted.FOLLOW if self._arm else Wanted.SAFE), self._arm
+
+    def _check_target(self, target: TargetStatus) -> None:
+        """Begin to act when the target is armed; one that is armed no longer is a fault, and the arm number is void."""
+        self._target = target
+        if self._asked_since is not None:
+            if target.armed == self._arm:
+                self._asked_since = None
+                self._safety.begin(self.moving())
+                if self._table.lost and target.table is not None:
+                    self._table.place(target.table)
+            elif self.sequence - self._asked_since > self._longest_arming:
+                self._safety.fault(f"target not armed within {ARMING_TIME:g} s: {target.cause or 'no cause given'}")
+        elif self._arm and target.armed != self._arm:
+            self._arm = 0
+            self._table.lost |= self._table.moving  # it comes to rest in the target's own way
+            if self._safety.acting:
+                self._safety.fault(f"target not following: {target.cause or 'no cause given'}")
 
     def repeat(self) -> None:
         """Note that the last commands are sent once more."""
@@ -264,7 +336,8 @@ class RigLoop:
         self.sequence += 1 + missed
         self._stamps.append((reading.stamp, self.sequence))
         self.missed += missed
-        self._braces.on_the_way = reading.on_the_way
+        self._check_target(reading.target)
+        self._braces.commands_in_flight = reading.commands_in_flight
         late = reading.age >= self._period
         self.late += late
         self._late_in_a_row = self._late_in_a_row + 1 if late else 0
@@ -272,12 +345,18 @@ class RigLoop:
         if clipped:
             for i, name in enumerate(self._names):
                 self.clipped[name] += clipped >> i & 1
-        self._look_at(reading, clipped)
+        acted = self._safety.acting
+        # before the interlocks: readings jump where samples are missed
         if any(output.moving for output in self._safety.outputs):
-            self._look_for_delays(missed)
+            self._check_delays(missed)
+        self._check_interlocks(reading, clipped)
+        if acted or self._safety.acting:
+            self._rest.begin()  # nor do samples that were missed before a stop measure rest
+        else:
+            self._safety.look(self._rest.problem(reading, any(self._until_now)), 1 + missed)
         return self._sample(reading, clipped)
 
-    def _look_at(self, reading: Reading, clipped: int) -> None:
+    def _check_interlocks(self, reading: Reading, clipped: int) -> None:
         """Check the interlocks; a trip stops the rig, and can occur again after a person has cleared it."""
         safety, table = self._safety, self._table
         if safety.acting and not self._watched:
@@ -288,19 +367,19 @@ class RigLoop:
         if trip is not None and safety.acting:
             safety.fault(str(trip))
 
-    def stops_looked_for(self) -> None:
-        """Note that somebody has looked for stops: where nobody does, they would not be heard."""
-        self._stops_at = self.sequence
+    def note_stops_polled(self) -> None:
+        """Note that the stop buttons have been polled: without that no stop would be heard."""
+        self._stops_polled_at = self.sequence
 
-    def _look_for_delays(self, missed: int) -> None:
+    def _check_delays(self, missed: int) -> None:
         """A delayed loop is a fault while something acts; so is a thread that should have looked for stops."""
         if missed > self._late_limit:
             self._safety.fault(f"the rig's loop was delayed: {missed} samples missed before sample {self.sequence}")
         elif self._late_in_a_row > self._late_limit:
             self._safety.fault(f"{self._late_in_a_row} samples in a row were taken late, up to sample {self.sequence}")
-        elif self._safety.acting and self.sequence - self._stops_at > self._unwatched_limit:
+        elif self._safety.acting and self.sequence - self._stops_polled_at > self._unwatched_limit:
             self._safety.fault(
-                f"no look at the stop buttons for {LONGEST_WITHOUT_STOPS:g} s: other programs keep this node's second "
+                f"stop buttons not polled for {LONGEST_WITHOUT_STOPS:g} s: other programs keep this node's second "
                 "thread from running"
             )
 
@@ -316,23 +395,51 @@ class RigLoop:
             flags |= STOP_PRESSED
         if self._late_in_a_row:
             flags |= LATE
-        if self.ending and safety.at_rest and not any(self._until_now):
+        if self.began < 0 and safety.state not in (State.ARMING, State.FADING_IN):
+            self.began = self.sequence
+        if self._is_over and not any(self._until_now):
             flags |= LAST
             self.ended = True
         head = Head(self.sequence, self.run, clipped & MESSAGE_BITS, flags, safety.state)
-        return Sample(reading.stamp, head, safety.cause, reading.values.tolist(), self._until_now)
+        return Sample(reading.stamp, head, safety.cause, reading.values.tolist(), self._until_now, self._table_place)
+
+    @property
+    def _table_place(self) -> float:
+        if self._target is not None and self._target.table is not None:
+            return self._target.table
+        return math.nan if self._table.lost or not self._table_driven else self._table.state.displacement
+
+    @property
+    def _rest_known(self) -> bool:
+        """Whether rest has been measured since the last fault or stop."""
+        return not self._safety.cause or not (self._rest.remaining or self._safety.measured)
+
+    @property
+    def _is_over(self) -> bool:
+        if self.give_up:
+            return self.ending and (self._safety.at_rest or self._safety.state is State.NOT_AT_REST)
+        return self.ending and self._safety.at_rest and self._rest_known
 
     def step(self) -> Sample:
         """Take the next sample at once."""
         return self.take(self._device.exchange(*self.act()))
 
+    def until_it_acts(self) -> Sample:
+        """Take samples without an input until commands act in full; returns the first one at which they do."""
+        while True:
+            sample = self.step()
+            if self.began >= 0:
+                return sample
+
     def fail(self, problem: str, samples: int) -> None:
         """The device has given none of so many `samples`, because of a `problem`."""
         self.sequence += samples
         self.missed += samples
-        self._braces.on_the_way = 0
+        self._braces.commands_in_flight = 0
+        self._table.lost |= self._table.moving
         self._safety.fault(problem)
-        self.ended = self.ending and self._safety.at_rest
+        self._safety.look("no samples of the device", samples)
+        self.ended = self._is_over
 
     @property
     def missed_deadlines(self) -> int:

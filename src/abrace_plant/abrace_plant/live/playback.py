@@ -58,6 +58,8 @@ class Playback:
 
     def answer(self, sequence: int) -> float:
         """Ground acceleration [m/s^2] of the sample after `sequence`; zero after the motion."""
+        if self.done:
+            return 0.0
         if self._first is None:
             self._first = sequence
         index = sequence - self._first
@@ -66,11 +68,6 @@ class Playback:
             self._state.update(acceleration)
         self.played = played
         return self._motion[index] if 0 <= index < len(self._motion) else 0.0
-
-    @property
-    def displacement(self) -> float:
-        """Where the table is at the last value played, as commanded [m]."""
-        return self._state.displacement
 
     def cancel(self) -> None:
         """Bring the table to rest by a `TableStop`; done at once if nothing was played."""
@@ -83,3 +80,8 @@ class Playback:
         state, period = self._state, 1 / self._rate
         stop = TableStop(state.acceleration, state.velocity, state.displacement, self._table, period)
         self._motion[self.played :] = stop.profile
+
+    def finish(self) -> None:
+        """Cancel the motion, and take its stop as done: the rig has brought the table to rest."""
+        self.cancel()
+        self.played = len(self._motion)

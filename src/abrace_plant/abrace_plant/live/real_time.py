@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run of a rig in real time: a thread sends commands to the device, waits for its sample, and publishes it."""
+"""A run of a rig in real time: a thread sends commands to the device, waits for its sample, and publishes it.
+
+Samples are never more than `LONGEST_BURST` ahead of the clock, whatever the device does: ramps count samples.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
-from abrace_plant.devices.device import DeviceError, give_up
+from abrace_plant.devices.device import DeviceError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,40 +27,10 @@ SLOW_SHARE = 0.4
 ANSWER_SHARE all commands, also those to the table, would often reach the hardware after its next tick."""
 SENDING_SHARE = 0.1
 """Share of the sample period that a command may take until the device has it."""
-
-
-def command_zeros(device: Device, groups: int, samples: int, patience: float) -> None:
-    """Command zero for so many `samples`, so that a target that follows only from zero begins to.
-
-    Parameters
-    ----------
-    device
-        It is open.
-    groups
-        Number of brace groups.
-    samples
-        That have to come.
-    patience
-        Seconds for which it may fail meanwhile.
-
-    Raises
-    ------
-    Exception
-        What the device raised after that, or at once if it was no DeviceError; it is made safe and closed. A
-        DeviceError of both if it could not be made safe.
-    """
-    latest = time.monotonic() + patience
-    try:
-        while samples:
-            try:
-                device.exchange([0.0] * groups, 0.0)
-                samples -= 1
-            except DeviceError:
-                if time.monotonic() > latest:
-                    raise
-    except BaseException as error:
-        give_up(device, error)
-        raise
+LONGEST_BURST = 0.01
+"""Seconds by which a device's samples may be ahead of the clock, after it was delayed."""
+FASTEST = 1.002
+"""Share of the rig's sample rate that a device's ticks may have for ever: its clock is another one."""
 
 
 class RealTimeRun(threading.Thread):
@@ -93,13 +66,13 @@ class RealTimeRun(threading.Thread):
         super().__init__(name="rig", daemon=True)
         self._loop, self._device = loop, device
         self._period, self._publish, self._over, self._prepare = sample_period, publish, over, prepare
-        self._answered = threading.Condition(lock)
+        self._input_arrived = threading.Condition(lock)
         self.errors: list[BaseException] = []
 
-    def answered(self) -> None:
+    def on_input(self) -> None:
         """An answer has come; called with the lock."""
-        if self._loop.quick_answered():
-            self._answered.notify()
+        if self._loop.has_quick_answers():
+            self._input_arrived.notify()
 
     def run(self) -> None:
         """The thread."""
@@ -119,31 +92,36 @@ class RealTimeRun(threading.Thread):
     def _run(self) -> None:
         self._prepare()
         loop, period, monotonic = self._loop, self._period, time.monotonic
-        tick, samples, acted, taken = monotonic(), 1, -math.inf, True
+        tick, samples, acted, applied = monotonic(), 1, -math.inf, True
+        accounted = -math.inf  # the instant until which the samples so far last
         while not loop.ended:
-            with self._answered:
+            with self._input_arrived:
                 # where nobody is slow it would only wake this thread while the loop's thread needs the interpreter
                 if loop.slow_sender():
-                    self._answered.wait_for(loop.all_answered, tick + SLOW_SHARE * period - monotonic())
-                self._answered.wait_for(loop.quick_answered, tick + ANSWER_SHARE * period - monotonic())
+                    self._input_arrived.wait_for(loop.has_all_answers, tick + SLOW_SHARE * period - monotonic())
+                self._input_arrived.wait_for(loop.has_quick_answers, tick + ANSWER_SHARE * period - monotonic())
                 # the last command may have come after this tick: with another one there would be two steps at the next
-                if taken and tick > acted + SENDING_SHARE * period:
-                    force, table = loop.act(samples)
+                if applied and tick > acted + SENDING_SHARE * period:
+                    command = loop.act(samples)
                     samples, acted = 0, monotonic()
                 else:
                     loop.repeat()
             try:
-                reading = self._device.exchange(force, table)
+                reading = self._device.exchange(*command)
             except DeviceError as error:
                 # a device that fails at once would be asked thousands of times a second, and ramps would be as fast
                 time.sleep(max(0.0, tick + period - monotonic()))
                 now = monotonic()
-                tick, taken, failed = now, True, max(1, round((now - tick) / period))
+                tick, applied, failed = now, True, max(1, round((now - tick) / period))
                 samples += failed
-                with self._answered:
+                with self._input_arrived:
                     loop.fail(str(error), failed)
                 continue
-            tick, taken = monotonic() - max(0.0, reading.age), reading.taken
+            tick, applied = monotonic() - max(0.0, reading.age), reading.command_applied
             samples += 1 + reading.missed
-            with self._answered:
+            # a device that makes up for a delay without saying so would also make ramps so much faster
+            accounted = max(accounted + (1 + reading.missed) * period / FASTEST, tick)
+            if (ahead := accounted - LONGEST_BURST - monotonic()) > 0:
+                time.sleep(ahead)
+            with self._input_arrived:
                 self._publish(loop.take(reading))

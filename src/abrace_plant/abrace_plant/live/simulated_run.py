@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.run import Run
+from abrace_core.model.run import Run
 from abrace_core.safety.rig_safety import RigSafety
 from abrace_plant.devices.simulated import SimulatedRig
 from abrace_plant.live.loop import RigLoop, rig_outputs
@@ -45,7 +45,8 @@ def simulated_run(
         (samples,) acceleration of the table [m/s^2], commanded in answer to each sample.
     force
         Gives the force of one brace of each group (groups,) [N] in answer to a sample: its number, and
-        [displacements, strokes, accelerations, forces] as measured, a force being the mean of its group's.
+        [displacements, strokes, accelerations, forces] as measured, a force being the mean of its group's. Samples
+        count from the end of the fade.
     seed
         Of the sensors' noise.
     source
@@ -54,12 +55,13 @@ def simulated_run(
     Returns
     -------
     Run
-        Its facts have the rig's name and, where the rig was stopped by a fault, `warnings` with the cause.
+        Its facts have the rig's name and, where the rig was stopped by a fault, the cause as `stopped`.
     """
     safety = RigSafety()
     safety.configure(rig_outputs(rig), 1 / rig.sample_rate)
     safety.activate()
     loop = RigLoop(rig, SimulatedRig(rig, seed, by_the_clock=False), safety, TIMEOUT, LATE, NUMBER, lockstep=True)
+    first = loop.until_it_acts()
     braces, others = rig.braces_in_group, 2 * rig.floors + rig.groups
     ends = np.cumsum([others, *braces]).tolist()
     groups = list(zip(ends, ends[1:], braces, strict=False))
@@ -67,20 +69,20 @@ def simulated_run(
     command, clipped = np.zeros((len(ground), rig.groups)), np.zeros(len(ground), dtype=np.uint64)
     cause = ""
     for k, acceleration in enumerate(ground.tolist()):
-        sample = loop.step()
+        sample = loop.step() if k else first
         reading = sample.reading
         z = reading[:others] + [sum(reading[first:last]) / count for first, last, count in groups]
         outputs[k], table[k], command[k], clipped[k] = z, reading[-1], sample.command, sample.head.clipped
         cause = cause or sample.cause
         loop.receive_ground_acceleration(sample.stamp, acceleration)
-        loop.receive_command(NUMBER, k, force(k, z), "")
+        loop.receive_command(NUMBER, loop.sequence, force(k, z), "")
     facts = {
         "rig": rig.name,
         "sample_period": repr(1 / rig.sample_rate),
         "capacity": json.dumps(rig.capacity.tolist()),
         "sensor_seed": str(seed),
     }
-    warnings = {"warnings": [f"{source}: the rig was stopped: {cause}"]} if cause else {}
+    stopped = {"stopped": cause} if cause else {}
     sequence = np.arange(len(ground), dtype=np.uint64)
     size = (rig.floors, rig.groups)
-    return Run(source, 1 / rig.sample_rate, sequence, *size, outputs, table, command, facts | warnings, clipped, braces)
+    return Run(source, 1 / rig.sample_rate, sequence, *size, outputs, table, command, facts | stopped, clipped, braces)

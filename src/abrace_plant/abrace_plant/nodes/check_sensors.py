@@ -13,13 +13,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from abrace_bags.run import read_run
-from abrace_core import signals
-from abrace_core.errors import AbraceError
-from abrace_core.files import write_text
-from abrace_core.node import AbraceNode, Parameter, find_file, run
-from abrace_core.run import Run
-from abrace_plant.devices.device import Device, Reading, give_up
+from abrace_bags import read_run
+from abrace_core import AbraceError
+from abrace_core.files.installed import find_file
+from abrace_core.files.writing import write_text
+from abrace_core.model import signals
+from abrace_core.model.run import Run
+from abrace_node.node import AbraceNode
+from abrace_node.parameters import Parameter
+from abrace_node.process import run
+from abrace_plant.devices.device import Device, Reading, Wanted, make_safe_and_close, open_device
 from abrace_plant.devices.file import load_device
 from abrace_plant.devices.sensor_check import check_sensors
 from abrace_plant.rig.file import load_rig
@@ -80,12 +83,12 @@ def recorded_readings(recorded: Run, rig: Rig) -> NDArray[np.float64]:
 
 
 def read_at_rest(device: Device, rig: Rig, samples: int) -> list[Reading]:
-    """Readings of the device with zero force and the table at rest."""
-    device.open()
+    """Readings of the device with zero force and the table at rest; the target is not armed."""
+    open_device(device)
     try:
-        readings = [device.exchange([0.0] * rig.groups, 0.0) for _ in range(samples)]
+        readings = [device.exchange([0.0] * rig.groups, 0.0, Wanted.SAFE, 0) for _ in range(samples)]
     except BaseException as error:
-        give_up(device, error)
+        make_safe_and_close(device, error)
         raise
     try:
         device.make_safe()

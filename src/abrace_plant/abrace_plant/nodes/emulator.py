@@ -10,9 +10,9 @@ import signal
 import sys
 from pathlib import Path
 
-from abrace_core.command_line import OneLineParser
-from abrace_core.errors import AbraceError
-from abrace_core.files import write_text
+from abrace_core import AbraceError
+from abrace_core.files.command_line import OneLineParser
+from abrace_core.files.writing import write_text
 from abrace_plant.emulator.emulator import Emulator
 from abrace_plant.rig.file import load_rig
 
@@ -25,8 +25,7 @@ def arguments() -> OneLineParser:
         example="abrace run abrace_plant emulator --rig my_rig.yaml --device my_device.yaml --fault loss=0.01",
     )
     parser.add_argument("--rig", type=Path, required=True, help="rig file; its sample_rate is that of the ticks")
-    parser.add_argument("--device", type=Path, required=True, help="device file of the kind udp or modbus")
-    parser.add_argument("--bridge", default="127.0.0.1", help="address that samples are sent to (127.0.0.1)")
+    parser.add_argument("--device", type=Path, required=True, help="device file of the kind udp")
     parser.add_argument("--seed", type=int, default=0, help="seed of the sensors' noise and of random faults (0)")
     parser.add_argument("--fault", action="append", default=[], help="such as loss=0.01, a2=stuck@20 (docs/bridge.md)")
     parser.add_argument("--control", type=int, default=0, metavar="PORT", help="UDP port for faults while it runs")
@@ -51,7 +50,8 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda which, _: stops.append(which))
     try:
-        emulator = Emulator(given.device, load_rig(given.rig), given.bridge, given.seed, given.fault, given.control)
+        rig = load_rig(given.rig)
+        emulator = Emulator(given.device, rig, given.seed, given.fault, given.control)
         if given.priority:
             raise_priority(given.priority)
         print("emulator: ticking", flush=True)

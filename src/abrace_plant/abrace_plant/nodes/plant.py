@@ -10,16 +10,24 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from abrace_core.node import Parameter, RCLError, run
-from abrace_core.node.conventions import DISPLAY_PERIOD
-from abrace_plant.devices.simulated import SimulatedRig, sensor_faults
+from rclpy.duration import Duration
+
+from abrace_core import RunFailed
+from abrace_core.files.installed import find_file
+from abrace_core.safety.table_guard import TableGuard
+from abrace_node.node import DISPLAY_PERIOD, RCLError
+from abrace_node.parameters import Parameter
+from abrace_node.process import run
+from abrace_plant.devices.simulated import SimulatedRig, check_faults
 from abrace_plant.live.loop import COMMAND, GROUND
-from abrace_plant.nodes.rig_node import RigNode, time_limits
+from abrace_plant.nodes.rig_node import RIG, RigNode, time_limits
+from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.interlocks import Interlocks
 from abrace_plant.rig.model import Rig
-from abrace_plant.rig.sensors import SensorFault
 
 PARAMETERS = [
     *time_limits(10.0, 1000),
+    Parameter("stop_heartbeat", 0.0, "seconds within which every stop button must repeat; 0: off", minimum=0.0),
     Parameter("disconnected_braces", [], "disconnected brace groups (1 the first); all: bare frame", element=int),
     Parameter("seed", 0, "seed of the sensor noise", minimum=0),
     Parameter(
@@ -48,6 +56,8 @@ SUBSCRIBER_PATIENCE = 30.0
 class Plant(RigNode):
     """Samples the simulated rig, by the clock or in lockstep with its inputs."""
 
+    simulated: SimulatedRig | None = None
+
     def __init__(self) -> None:
         super().__init__("plant", PARAMETERS)
         self.lockstep = self.parameters.lockstep
@@ -55,7 +65,7 @@ class Plant(RigNode):
     def load(self) -> Rig:
         """The rig, with the braces of the parameter `disconnected_braces` disconnected."""
         rig = super().load().disconnect(self.parameters.disconnected_braces)
-        sensor_faults(self.parameters.sensor_faults, rig)
+        check_faults(self.parameters.sensor_faults, rig)
         return rig
 
     def configure(self) -> None:
@@ -64,10 +74,13 @@ class Plant(RigNode):
         self.make_device()
 
     def make_device(self) -> SimulatedRig:
-        """The rig at rest, with its sensor faults."""
-        self.simulated = SimulatedRig(self.rig, self.parameters.seed, not self.lockstep)
-        self.simulated.set_sensor_faults(sensor_faults(self.parameters.sensor_faults, self.rig))
-        return self.simulated
+        """The rig at rest, its table where it was left; stamps go on: no answer to the former run fits this one."""
+        begin, (_, table) = self.simulated.next_stamp if self.simulated else 0, self.safety.outputs
+        assert isinstance(table, TableGuard)
+        given, place = self.parameters, table.state.displacement
+        self.simulated = simulated = SimulatedRig(self.rig, given.seed, not self.lockstep, begin, place)
+        simulated.set_sensor_faults(self.parameters.sensor_faults)
+        return simulated
 
     def activate(self) -> None:
         """Begin a run."""
@@ -79,14 +92,13 @@ class Plant(RigNode):
         """In lockstep take the first sample once all nodes have been found, or end because an answer is missing."""
         assert self.loop is not None
         if self.loop.sequence < 0:
-            matched = all(self.inputs[name].get_publisher_count() for name in self.parameters.wait_for)
-            if matched and self.response.get_subscription_count() >= len(self.parameters.wait_for):
+            if all(self.finds_commander(self.response, self.inputs[name]) for name in self.parameters.wait_for):
                 self.began = time.monotonic()
                 self.step()
             else:
                 self.due = time.monotonic() + DISPLAY_PERIOD
         else:
-            missing = [name for name in self.parameters.wait_for if not self.loop.answered(name)]
+            missing = [name for name in self.parameters.wait_for if not self.loop.has_answer(name)]
             self.due = None
             self.finish(
                 1,
@@ -114,33 +126,57 @@ class Plant(RigNode):
                     self.finish(1, f"a subscriber of response accepted no message for {SUBSCRIBER_PATIENCE:g} s")
                     return
 
-    def answered(self) -> None:
+    def flush_publishers(self) -> None:
+        """Wait until the last samples have arrived; in lockstep as long as for one that a subscriber does not accept.
+
+        Raises
+        ------
+        RunFailed
+            If a subscriber of a lockstep run has not got them.
+        """
+        patience = Duration(seconds=SUBSCRIBER_PATIENCE)
+        if self.lockstep and self.configured and not self.response.wait_for_all_acked(patience):
+            raise RunFailed(f"a subscriber of response has not got the last samples within {SUBSCRIBER_PATIENCE:g} s")
+        super().flush_publishers()
+
+    def on_input(self) -> None:
         """In lockstep, take the next sample once every input of `wait_for` has answered."""
-        super().answered()
+        super().on_input()
         # before the first sample, which `tick` takes, there are only answers to an earlier run
         if not self.lockstep or self.loop is None or self.loop.ended or self.loop.sequence < 0:
             return
         if self.due is not None and self.exit_code is None:
             for name in self.parameters.wait_for:
-                if not self.loop.answered(name):
+                if not self.loop.has_answer(name):
                     return
-            if self.loop.sequence == self.last:
+            if self.loop.sequence == self.last_sequence:
                 self.due = None
                 elapsed = time.monotonic() - self.began
                 self.finish_run(f"{self.loop.sequence + 1} samples in {elapsed:.2f} s")
             else:
                 self.step()
 
+    def diagnose(self) -> tuple[str | None, str, dict[str, object]]:
+        """State for `/diagnostics`; in lockstep also for whom the first sample waits."""
+        fault, message, values = super().diagnose()
+        if self.lockstep and self.active and self.loop is not None and self.loop.sequence < 0:
+            message = f"waiting for a node that gets response and publishes {', '.join(self.parameters.wait_for)}"
+        return fault, message, values
+
     def prepare_change(self, name: str, value: list[str]) -> Callable[[], None]:
         """New sensor faults act from the next sample on; before the rig is activated they are kept for it."""
         if not self.configured:
             return super().prepare_change(name, value)
-        return partial(self.change_sensor_faults, sensor_faults(value, self.rig))
+        check_faults(value, self.rig)
+        assert self.simulated is not None
+        return partial(self.simulated.set_sensor_faults, value)
 
-    def change_sensor_faults(self, faults: tuple[SensorFault, ...]) -> None:
-        """Replace the sensor faults of the run."""
-        if self.active:
-            self.simulated.set_sensor_faults(faults)
+
+def prepare() -> None:
+    """Compile, or load, simulation and interlocks, for a process of which each plant is a fork."""
+    rig = load_rig(find_file(RIG, "abrace_plant", "config", ".yaml", "rig"))
+    SimulatedRig(rig, 0, by_the_clock=False)
+    Interlocks(rig)
 
 
 def main() -> int:

@@ -13,16 +13,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from abrace_core.drawing import save_figure
-from abrace_core.errors import AbraceError
-from abrace_core.files import write_text
-from abrace_core.node import AbraceNode, Parameter, run
-from abrace_plant.nodes.record_parameters import RECORD_PARAMETERS, read_as_given, table_as_given, treatment_as_given
+from abrace_core import AbraceError
+from abrace_core.figures.saving import save_figure
+from abrace_core.files.writing import write_text
+from abrace_node.node import AbraceNode
+from abrace_node.parameters import Parameter
+from abrace_node.process import run
+from abrace_plant.nodes.record_parameters import RECORD_PARAMETERS, read_as_given, rig_as_given
 from abrace_plant.records.figure import Motion, record_figure
-from abrace_plant.records.intensity import STANDARD_GRAVITY, Intensity, intensity
+from abrace_plant.records.measures import STANDARD_GRAVITY, Intensity, intensity, response_spectrum
+from abrace_plant.records.options import Treatment
 from abrace_plant.records.record import Record
-from abrace_plant.records.response_spectrum import response_spectrum
-from abrace_plant.records.table_motion import RECORD_REMEDIES, Demand, table_motion
+from abrace_plant.records.table_motion import RECORD_REMEDIES, Demand, table_demands
 from abrace_plant.records.treatment import prepare
 
 FOLDER = Path("results/records")
@@ -30,7 +32,7 @@ FOLDER = Path("results/records")
 PARAMETERS = [
     Parameter("record", "", "a known name or a file", required=True),
     *RECORD_PARAMETERS,
-    Parameter("output", "", f"folder for record.png and record.json; empty: {FOLDER}/NAME"),
+    Parameter("output", "", f"folder for record.svg and record.json; empty: {FOLDER}/NAME"),
 ]
 
 
@@ -43,26 +45,29 @@ class ShowRecord(AbraceNode):
     def work(self) -> None:
         """Read, treat, measure, print, draw, write."""
         given = self.parameters
-        table = table_as_given(given)
+        rig = rig_as_given(given)
+        rate = rig.sample_rate
         record = read_as_given(given.record, given)
-        treatment = treatment_as_given(given)
-        motion = Record(record.name, 1 / given.sample_rate, prepare(record, given.sample_rate, treatment))
+        treatment = Treatment.of_values(given)
+        motion = Record(record.name, 1 / rate, prepare(record, rate, treatment))
         if len(motion.acceleration) < 2:
             raise AbraceError(f"parameter duration: {given.duration}, expected two samples or more")
         recorded, played = ((each, intensity(each), response_spectrum(each)) for each in (record, motion))
-        demands = table_motion(motion.acceleration, given.sample_rate).demands(table)
+        demands = table_demands(motion.acceleration, rate, rig.table.table())
         print(_table(recorded, played))
-        print(_demands(given.rig, demands))
+        if not record.acceleration.any():
+            raise AbraceError(f"ground motion {record.name}: zero throughout, expected a motion")
+        print(f"read: {record.chosen}\n{_demands(given.rig, demands)}")
         output = Path(given.output) if given.output else FOLDER / record.name
         facts = {
             "record": record.name,
-            "treatment": {"sample_rate": given.sample_rate, **asdict(treatment)},
+            "treatment": {"sample_rate": rate, **treatment.model_dump()},
             "recorded": _facts(recorded),
             "played": _facts(played),
             "table": {demand.name: asdict(demand) | {"exceeded": demand.exceeded} for demand in demands},
         }
         write_text(output / "record.json", json.dumps(facts, indent=1))
-        save_figure(record_figure(recorded, played, demands), output / "record.png")
+        save_figure(record_figure(recorded, played, demands), output / "record.svg")
         print(f"wrote {output}")
 
 
@@ -103,19 +108,14 @@ def _rows(record: Record, measures: Intensity) -> dict[str, float]:
 def _facts(motion: Motion) -> dict[str, Any]:
     """A motion's measures and spectra for the JSON file, in SI units."""
     record, measures, spectrum = motion
+    curves = {**asdict(spectrum), "pseudo_acceleration": spectrum.pseudo_acceleration}
     return {
         "sample_period": record.sample_period,
         "samples": len(record.acceleration),
         "duration": len(record.acceleration) * record.sample_period,
         **asdict(measures),
         "significant_duration": measures.significant_duration,
-        "spectra": {
-            "periods": spectrum.periods.tolist(),
-            "damping_ratios": spectrum.damping_ratios.tolist(),
-            "displacement": spectrum.displacement.tolist(),
-            "velocity": spectrum.velocity.tolist(),
-            "pseudo_acceleration": spectrum.pseudo_acceleration.tolist(),
-        },
+        "spectra": {name: values.tolist() for name, values in curves.items()},
     }
 
 

@@ -15,24 +15,23 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from abrace_core.errors import AbraceError
-from abrace_core.node import AbraceLifecycleNode, Parameter, find_file, real_time
-from abrace_core.node.conventions import (
-    DISPLAY_PERIOD,
-    LOCKSTEP_STREAM_QOS,
-    STREAM_QOS,
-    TRANSIENT_LOCAL_QOS,
-    clearing,
-    published_stream_qos,
-)
-from abrace_core.node.lifecycle import REST_MARGIN
-from abrace_core.node.stop_listener import StopListener
-from abrace_core.safety.rig_safety import RigSafety
+from abrace_core import AbraceError, RunFailed
+from abrace_core.files.installed import find_file
+from abrace_core.safety.rig_safety import REST_TIME, RigSafety, State
+from abrace_core.safety.stop_senders import UNNAMED
 from abrace_core.safety.table_stop import LONGEST
-from abrace_core.wire import BraceCommands, Responses, unpack_acceleration
+from abrace_core.safety.wire import BraceCommands, Responses, unpack_acceleration
 from abrace_interfaces.msg import BraceCommand, Response
+from abrace_node import real_time
+from abrace_node.lifecycle import REST_MARGIN, AbraceLifecycleNode
+from abrace_node.node import DISPLAY_PERIOD, clearing, what_and_where
+from abrace_node.parameters import Parameter
+from abrace_node.stop_listener import StopListener
+from abrace_node.transport import LOCKSTEP_STREAM_QOS, STREAM_QOS, TRANSIENT_LOCAL_QOS, published_stream_qos
+from abrace_plant.devices.device import open_device
 from abrace_plant.live.loop import COMMAND, GROUND, RigLoop, rig_outputs
 from abrace_plant.live.real_time import RealTimeRun
+from abrace_plant.live.rest import slowest_period
 from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.interlocks import Interlocks
 from abrace_plant.rig.robot_description import joint_names, urdf
@@ -50,10 +49,12 @@ STOP_PERIOD = 0.01
 PEAKS = ("drift", "displacement", "acceleration", "force", "table_displacement")
 """Interlocks whose greatest values so far are in the diagnostics, in SI units."""
 
+RIG = "ncree_three_storey"
+"""The rig that runs where no other is named."""
+
 RIG_PARAMETERS = [
-    Parameter("rig", "ncree_three_storey", "rig: a name in the package's configuration or a file", required=True),
+    Parameter("rig", RIG, "rig: a name in the package's configuration or a file", required=True),
     Parameter("duration", 0.0, "seconds to run, then end; 0: until stopped", minimum=0.0),
-    Parameter("stop_heartbeat", 0.0, "seconds within which every stop button must repeat; 0: off", minimum=0.0),
 ]
 
 
@@ -80,7 +81,6 @@ def time_limits(longest_timeout: float, most_late: int) -> list[Parameter]:
 class RigNode(AbraceLifecycleNode):
     """Publishes the samples of a rig, and lets commands act as far as its safety allows."""
 
-    ramp_time = LONGEST
     rig: Rig
     device: Device
     loop: RigLoop | None = None
@@ -95,7 +95,7 @@ class RigNode(AbraceLifecycleNode):
         self.run_number = 0
         self.create_service(Trigger, "~/clear_fault", self.on_clear_fault)
         self.stops = StopListener(self, self.parameters.stop_heartbeat)
-        self.create_timer(STOP_PERIOD, self.look_for_stops, clock=RosClock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(STOP_PERIOD, self.poll_stops, clock=RosClock(clock_type=ClockType.STEADY_TIME))
         self.keep_endpoints()
 
     def destroy_node(self) -> None:
@@ -107,10 +107,6 @@ class RigNode(AbraceLifecycleNode):
         """The device of this run; subclasses make it. An AbraceError refuses the activation."""
         raise NotImplementedError
 
-    def open_device(self) -> None:
-        """Open the device of a run by the clock. An AbraceError refuses the activation."""
-        self.device.open()
-
     def load(self) -> Rig:
         """The rig of the parameters; an AbraceError refuses the configuration."""
         return load_rig(find_file(self.parameters.rig, "abrace_plant", "config", ".yaml", "rig"))
@@ -119,6 +115,7 @@ class RigNode(AbraceLifecycleNode):
         """Load the rig and create the topics."""
         self.refuse_during_run()
         self.rig = self.load()
+        self.ramp_time = LONGEST + REST_TIME + slowest_period(self.rig)  # after a fault rest is measured, too
         self.safety.configure(rig_outputs(self.rig), 1 / self.rig.sample_rate)
         self.response = self.publish_on(
             Response, "response", LOCKSTEP_STREAM_QOS if self.lockstep else published_stream_qos()
@@ -143,22 +140,27 @@ class RigNode(AbraceLifecycleNode):
         self.safety.activate()
         if not self.lockstep:
             try:
-                self.open_device()
-            except AbraceError:
+                open_device(self.device)
+            except BaseException:
                 self.safety.deactivate()
-                self.safety.rest()
                 raise
         # later runs have greater numbers, also those of a restarted node
         self.run_number = max(self.run_number + 1, time.time_ns())
         self.loop = RigLoop(
             rig, self.device, self.safety, given.command_timeout, given.late_limit, self.run_number, self.lockstep
         )
-        self.last = max(1, round(given.duration * rig.sample_rate)) - 1 if given.duration else -1
+        self.last_sequence = max(1, round(given.duration * rig.sample_rate)) - 1 if given.duration else -1
         self.next_display = 0.0
         self.done = False
         if not self.lockstep:
             self.run = RealTimeRun(
-                self.loop, self.device, 1 / rig.sample_rate, self.lock, self.publish_sample, self.run_over, self.prepare
+                self.loop,
+                self.device,
+                1 / rig.sample_rate,
+                self.lock,
+                self.catching(self.publish_sample),
+                self.run_over,
+                self.catching(self.prepare),
             )
             self.run.start()
 
@@ -171,6 +173,11 @@ class RigNode(AbraceLifecycleNode):
         """Called in the thread of a run by the clock before its first sample."""
         real_time.above_the_loops(self.parameters)
 
+    def protect(self, cause: str) -> None:
+        """Latch a fault."""
+        self.safety.fault(cause)
+        self.reported_fault = self.safety.cause or None
+
     def come_to_rest(self) -> None:
         """Bring braces and table to rest; the run ends with the first sample at which they are."""
         assert self.loop is not None
@@ -178,8 +185,8 @@ class RigNode(AbraceLifecycleNode):
             return
         self.safety.deactivate()
         self.loop.ending = True
-        while self.lockstep and not self.loop.ended:
-            self.publish_sample(self.loop.step())
+        while self.lockstep and not self.loop.ended and self.safety.state is not State.NOT_AT_REST:
+            self.catching(self.publish_sample)(self.loop.step())
 
     @property
     def at_rest(self) -> bool:
@@ -188,17 +195,29 @@ class RigNode(AbraceLifecycleNode):
             return self.loop is None or self.loop.ended
         return self.run is None
 
+    def stay_active(self) -> None:
+        """The run goes on: the rig has not come to rest, or its device has not been made safe."""
+        assert self.loop is not None
+        self.loop.ending = False
+        self.safety.stay_active(f"not at rest {self.ramp_time + REST_MARGIN:.1f} s after the deactivation")
+
     def ended_before_rest(self) -> None:
         """End with code 1: the device has not been made safe."""
-        self.finish(1, f"not at rest after {self.ramp_time + REST_MARGIN:g} s: the device was not made safe")
+        self.finish(1, f"not at rest after {self.ramp_time + REST_MARGIN:.1f} s: the device was not made safe")
 
     def deactivate(self) -> None:
         """The run is over."""
         self.due = None
 
     def cleanup(self) -> None:
-        """Bring the safety to rest and to unconfigured: nothing acts any more."""
-        if not self.safety.at_rest:
+        """Give up the outputs; where a run has not come to rest yet, when it has: nothing steps to zero."""
+        if self.run is not None:
+            assert self.loop is not None
+            self.loop.ending = self.loop.give_up = True
+            if self.safety.acting:
+                self.safety.deactivate()
+            return
+        if self.safety.acting or self.safety.state is State.RAMPING_DOWN:  # in lockstep, where nothing real moves
             self.safety.deactivate()
             self.safety.rest()
         self.safety.clean_up()
@@ -209,13 +228,14 @@ class RigNode(AbraceLifecycleNode):
         assert run is not None
         assert loop is not None
         if run.errors:
-            texts = [str(one) if isinstance(one, AbraceError) else f"{type(one).__name__}: {one}" for one in run.errors]
-            self.later(lambda: self.finish(1, "; ".join(texts)))
+            self.fail(RunFailed("; ".join(map(what_and_where, run.errors))))
         elif self.done:
-            self.later(lambda: self.finish_run(f"{loop.sequence + 1} samples, {loop.missed_deadlines} late answers"))
+            self.defer(lambda: self.finish_run(f"{loop.sequence + 1} samples, {loop.missed_deadlines} late answers"))
         with self.lock:
             self.run = None
-        self.tell_rest()
+            if not self.configured:
+                self.cleanup()
+        self.notify_rest()
 
     def finish_run(self, counts: str) -> None:
         """End after the last sample and report the counts; with code 1 while a fault is latched."""
@@ -242,6 +262,7 @@ class RigNode(AbraceLifecycleNode):
                 force=reading[2 * floors + groups : -1],
                 command=sample.command,
                 ground_acceleration=reading[-1],
+                table_displacement=sample.table,
             )
         )
         self.report_fault(sample.cause or None)
@@ -249,10 +270,11 @@ class RigNode(AbraceLifecycleNode):
         if now >= self.next_display:
             self.next_display = now + DISPLAY_PERIOD
             stamp = Time(sec=sample.stamp // 10**9, nanosec=sample.stamp % 10**9)
-            self.later(lambda: self.show(stamp, reading[:floors]))
+            self.defer(lambda: self.show(stamp, reading[:floors]))
         # the last one itself may have been missed
-        if 0 <= self.last <= sample.head.sequence and not self.lockstep:
-            self.done = True
+        if 0 <= self.last_sequence <= sample.head.sequence and not self.lockstep:
+            assert self.loop is not None
+            self.done = self.loop.give_up = True
             self.come_to_rest()
 
     def send(self, payload: bytes) -> None:
@@ -261,6 +283,8 @@ class RigNode(AbraceLifecycleNode):
 
     def show(self, stamp: Time, displacement: list[float]) -> None:
         """Publish the joint states for viewers, and in lockstep the time."""
+        if not self.configured:
+            return  # the clean-up, which came meanwhile, has destroyed the topics
         self.joints.header.stamp = stamp
         self.joints.position = displacement
         self.joint_states.publish(self.joints)
@@ -274,7 +298,7 @@ class RigNode(AbraceLifecycleNode):
                 self.loop.receive_command(*self.commands.unpack(payload))
             except AbraceError as error:
                 self.safety.fault(str(error))
-            self.answered()
+            self.on_input()
 
     def on_ground_motion(self, payload: bytes) -> None:
         """Accept a ground acceleration."""
@@ -283,27 +307,36 @@ class RigNode(AbraceLifecycleNode):
                 self.loop.receive_ground_acceleration(*unpack_acceleration(payload))
             except AbraceError as error:
                 self.safety.fault(str(error))
-            self.answered()
+            self.on_input()
 
-    def answered(self) -> None:
+    def on_input(self) -> None:
         """An input has answered; called with the lock."""
         if self.run is not None:
-            self.run.answered()
+            self.run.on_input()
 
-    def look_for_stops(self) -> None:
+    def poll_stops(self) -> None:
         """Take messages of the stop buttons."""
-        who = self.stops.who()
+        who = self.stops.pressed_by()
         with self.lock:
             if self.loop is not None:
-                self.loop.stops_looked_for()
-            if who != self.safety.pressed:
-                self.safety.stop(who)
+                self.loop.note_stops_polled()
+            if who and who != self.safety.pressed:
+                self.safety.press(who)
+            elif not who and self.safety.pressed:
+                self.safety.release()
         self.report_fault(self.safety.cause or None)
+
+    def _log_fault(self, fault: str | None) -> None:
+        """Log the fault, but not a stop once more whose sender's name has become known meanwhile."""
+        if fault and self.reported_fault and UNNAMED in self.reported_fault:
+            self.reported_fault = fault
+        else:
+            super()._log_fault(fault)
 
     def on_clear_fault(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Clear the latched fault."""
         self.stops.forget_gone()
-        self.look_for_stops()
+        self.poll_stops()
         with self.lock:
             try:
                 moving = self.loop.moving() if self.active and self.loop is not None else ""

@@ -11,17 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
-from abrace_plant.records.intensity import SIGNIFICANT, STANDARD_GRAVITY, husid, integrate
+from abrace_core.figures.drawing import MEASURED, REFERENCE, SIMULATED
+from abrace_plant.records.measures import SIGNIFICANT, STANDARD_GRAVITY, husid, integrate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.axes import Axes
 
-    from abrace_plant.records.intensity import Intensity
+    from abrace_plant.records.measures import Intensity, ResponseSpectrum
     from abrace_plant.records.record import Record
-    from abrace_plant.records.response_spectrum import ResponseSpectrum
     from abrace_plant.records.table_motion import Demand
 
 RECORDED: dict[str, Any] = {"color": MEASURED, "lw": 1.5}

@@ -1,26 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records by name or by file: finds the file, chooses the reader by its ending, and completes unit and sample period.
+"""Records by name or by file: finds the file, chooses the reader by its content, completes unit and sample period.
 
-A directory is a bag. The readers are in `text_formats` (PEER AT2, columns, CSV), `strong_motion_formats` (K-NET,
-KiK-net, CSMIP, COSMOS) and `binary_formats` (MATLAB, bags). Units come from the file's header or from the caller, and
-are never guessed; if both state a unit they must agree.
+A directory is a bag. Units come from the file's header or from the caller, and are never guessed; if both state a unit
+they must agree.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import math
 from numbers import Real
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
-from abrace_core.suggestion import did_you_mean
-from abrace_plant.records.reading import UNITS, Reading, RecordText, record_error
+from abrace_core import AbraceError
+from abrace_core.files.file_kinds import decoded, seismic_kind
+from abrace_core.files.suggestion import did_you_mean
+from abrace_core.files.table_files import is_text, table_in
+from abrace_plant.records.asked import Asked, keyword
+from abrace_plant.records.columns import read_columns
+from abrace_plant.records.library_formats import read_by_library
+from abrace_plant.records.peer_format import is_peer, read_at2
+from abrace_plant.records.reading import UNITS, Reading, RecordText, factor_of, record_error
 from abrace_plant.records.record import Record
-from abrace_plant.records.strong_motion_formats import KNET_ENDINGS, V2_ENDINGS, read_knet, read_v2
-from abrace_plant.records.text_formats import read_at2, read_csv, read_text
+from abrace_plant.records.strong_motion_formats import has_blocks, is_knet, read_blocks, read_knet
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 KNOWN_RECORDS = {
     "el_centro": "imperialValley_elCentro_1940/RSN6_IMPVALL.I_I-ELC180-hor1.AT2",
@@ -35,21 +44,27 @@ Its file of Northridge is an aftershock (PEER's RSN 1690), not the main shock.
 
 
 def read_record(
-    path_or_name: Path | str, unit: str | None = None, sample_period: float | None = None, channel: str | None = None
+    path_or_name: Path | str,
+    unit: str | None = None,
+    sample_period: float | None = None,
+    channel: str | int | None = None,
+    way: Callable[[str, str], str] = keyword,
 ) -> Record:
-    """Read a record by its name or from a file, whose ending selects the format.
+    """Read a record by its name or from a file, whose content tells the format.
 
     Parameters
     ----------
     path_or_name
         A name in `KNOWN_RECORDS`, a file, or a bag directory.
     unit
-        Unit of the acceleration, "g", "m/s^2" or "cm/s^2"; needed where the file does not state one.
+        Unit of the acceleration, one of `UNITS`; needed where the file does not state one.
     sample_period
-        [s]; needed where the file has no times.
+        [s]; needed where the file states none. It decides where times are rounded, or have no unit.
     channel
-        Channel of a file with several: the name of a CSV column, the number of a CSMIP or COSMOS channel, the name of a
-        MATLAB variable, `topic:field` of a bag. Needed for a bag, and if a file has more than one.
+        Channel of a file with several: name or number of a column, number of a channel, name of a MATLAB variable, an
+        acceleration of a bag's test (w where none is given). Needed if a file has more than one.
+    way
+        How a refusal writes an argument that can be given.
 
     Returns
     -------
@@ -65,26 +80,35 @@ def read_record(
         raise AbraceError(f"ground motion unit {unit!r}: expected one of {', '.join(UNITS)}")
     if sample_period is not None and not (isinstance(sample_period, Real) and 0 < sample_period < math.inf):
         raise AbraceError(f"ground motion sample_period {sample_period!r} s: expected more than 0")
-    channel = None if channel is None else str(channel)
+    asked = Asked(unit, sample_period, None if channel is None else str(channel), way)
     name = str(path_or_name)
     path = record_file(name)
     try:
-        is_folder = path.is_dir()
-        reading = _read(name, path, is_folder, channel)
+        reading = _read(name, path, asked)
     except FileNotFoundError as error:
         near = did_you_mean(name, [*KNOWN_RECORDS, *_files_beside(path)])
         raise record_error(name, f"no such file, and no such name (names: {', '.join(KNOWN_RECORDS)}){near}") from error
     except (OSError, ValueError) as error:
         raise record_error(name, getattr(error, "strerror", None) or str(error)) from error
+    missing = []
     if reading.unit is None and unit is None:
-        raise record_error(name, f"no unit in the file, expected unit as one of {', '.join(UNITS)}")
-    if reading.unit is not None and unit is not None and reading.unit != unit:
+        missing.append(f"unit in the file, expected {way('unit', UNITS[0])}, or one of {', '.join(UNITS[1:])}")
+    if reading.sample_period is None and sample_period is None:
+        missing.append(f"times in the file, expected {asked.period()} in s")
+    if missing:
+        raise record_error(name, f"{reading.chosen and reading.chosen + ': '}no {'; no '.join(missing)}")
+    stated = reading.unit or unit or ""
+    factor = factor_of(stated)
+    if factor is None:
+        raise record_error(name, f"unit {stated!r}, expected that of an acceleration")
+    if unit is not None and factor_of(unit) != factor:
         raise record_error(name, f"the file states {reading.unit}, unit {unit} was given")
     with np.errstate(over="ignore"):
-        acceleration = reading.acceleration * UNITS[reading.unit or unit or ""]
+        acceleration = reading.acceleration * factor
     if not np.isfinite(acceleration).all():
         raise record_error(name, "a value that overflows in m/s^2, expected an acceleration")
-    return Record(record_name(name), _period(name, reading.sample_period, sample_period), acceleration)
+    chosen = f"{reading.chosen or 'values'} in {stated}"
+    return Record(record_name(name), _period(name, reading.sample_period, sample_period), acceleration, chosen)
 
 
 def _files_beside(path: Path) -> list[str]:
@@ -94,35 +118,37 @@ def _files_beside(path: Path) -> list[str]:
 def _period(name: str, stated: float | None, given: float | None) -> float:
     """The sample period [s] that the file states or the caller gives."""
     period = given if stated is None else stated
-    if period is None:
-        raise record_error(name, "no times in the file, expected sample_period")
-    if not math.isfinite(period):
-        raise record_error(name, f"sample period {period:g} s, expected a finite one")
+    if period is None or not math.isfinite(period):
+        raise record_error(name, f"sample period {period} s, expected a finite one")
     if given is not None and abs(period - given) > 1e-3 * given:
         raise record_error(name, f"sample period {period:g} s, {given:g} s was given")
-    return period
+    return period if given is None else given
 
 
-def _read(name: str, path: Path, is_folder: bool, channel: str | None) -> Reading:
-    """Read a file or a bag directory with the reader of its format."""
-    ending = path.suffix.lower()
-    if is_folder or ending in (".mcap", ".mat"):
-        from abrace_plant.records.binary_formats import read_bag, read_mat  # imports for a quarter of a second
+def _read(name: str, path: Path, asked: Asked) -> Reading:
+    """Read a file or a bag directory with the reader of its format, which its content tells."""
+    is_folder = path.is_dir()
+    with contextlib.nullcontext() if is_folder else path.open("rb") as file:
+        content = b"" if file is None else file.read(8)
+        if is_folder or content in (b"\x89MCAP0\r\n", b"SQLite f") or path.suffix.lower() == ".mcap":
+            from abrace_plant.records.bag_format import read_bag  # imports for a quarter of a second
 
-        if ending == ".mat" and not is_folder:
-            return read_mat(name, path, channel)
-        path.stat()
-        return read_bag(name, path, channel)
-    file = RecordText(name, path.read_bytes())
-    if ending == ".csv":
-        return read_csv(file, channel)
-    if ending in V2_ENDINGS:
-        return read_v2(file, channel)
-    if channel is not None:
-        raise file.error(f"channel {channel!r} was given, expected none: the format has only one")
-    if ending == ".at2":
-        return read_at2(file)
-    return read_knet(file) if ending in KNET_ENDINGS else read_text(file)
+            return read_bag(name, path, asked.channel)
+        content += b"" if file is None else file.read()
+    source = f"ground motion {name}"
+    if kind := seismic_kind(content):
+        return read_by_library(path, kind, source, asked)
+    if not is_text(content, path):
+        return read_columns(table_in(content, path, source), asked)
+    text = decoded(content, source)
+    lines = RecordText(name, text)
+    if has_blocks(lines):
+        return read_blocks(lines, asked)
+    if not (is_peer(lines.lines) or is_knet(lines.lines)):
+        return read_columns(table_in(content, path, source), asked)
+    if asked.channel is not None:
+        raise lines.error(f"channel {asked.channel!r} was given, expected none: the format has only one")
+    return read_at2(lines) if is_peer(lines.lines) else read_knet(lines)
 
 
 def record_name(name: str) -> str:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
-from abrace_core.tables import data_frame
+from abrace_core import AbraceError
+from abrace_core.model.plotted import figure_of
+from abrace_core.model.tabular import Tabular
 
 if TYPE_CHECKING:
     import pandas
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Record:
+class Record(Tabular):
     """A ground acceleration, as recorded or as played.
 
     Parameters
@@ -29,15 +30,19 @@ class Record:
         [s].
     acceleration
         (samples,) [m/s^2], at least two samples.
+    chosen
+        What of the file was read, and in which unit it is.
     """
 
     name: str
     sample_period: float
     acceleration: NDArray[np.float64]
+    chosen: str = ""
 
     def __repr__(self) -> str:
+        chosen = f", from {self.chosen}" if self.chosen else ""
         peak, seconds = np.abs(self.acceleration).max(), len(self.acceleration) * self.sample_period
-        return f"<Record {self.name}: {seconds:g} s, every {self.sample_period:g} s, peak {peak:.4g} m/s^2>"
+        return f"<Record {self.name}: {seconds:g} s, every {self.sample_period:g} s, peak {peak:.4g} m/s^2{chosen}>"
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -46,13 +51,13 @@ class Record:
 
     def to_pandas(self) -> pandas.DataFrame:
         """The acceleration [m/s^2] by the time since the first sample [s]; an AbraceError without pandas."""
-        return data_frame({"acceleration": self.acceleration}, "time [s]", self.time)
+        import pandas
+
+        return pandas.DataFrame({"acceleration": self.acceleration}, index=pandas.Index(self.time, name="time [s]"))
 
     def plot(self) -> Figure:
         """The acceleration over time."""
-        from abrace_core.signal_figure import time_histories
-
-        return time_histories(self.time, {"acceleration": (self.acceleration, "m/s^2")}, self.name)
+        return figure_of(self, "plot")
 
 
 def check_record(record: Record) -> None:

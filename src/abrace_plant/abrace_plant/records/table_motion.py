@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
-from abrace_plant.records.intensity import integrate
+from abrace_core import AbraceError
+from abrace_plant.records.measures import integrate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -75,42 +75,10 @@ class Demand:
         return f"{self.name} {self.value:.4g} {self.unit} at {self.time:.3f} s, the table's limit is {self.limit:.4g}"
 
 
-@dataclass(frozen=True)
-class TableMotion:
-    """The motion of a table, from a sample before the first of an acceleration to one after its last.
-
-    Parameters
-    ----------
-    sample_period
-        [s].
-    acceleration, velocity, displacement
-        (samples + 2,) each [m/s^2, m/s, m].
-    """
-
-    sample_period: float
-    acceleration: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    displacement: NDArray[np.float64]
-
-    def demands(self, table: Table) -> list[Demand]:
-        """The demands of the motion on a table, with the table's limits."""
-        jerk = np.diff(self.acceleration) / self.sample_period
-        found = [
-            self._peak("acceleration", "m/s^2", self.acceleration, table.peak_acceleration),
-            self._peak("jerk", "m/s^3", jerk, table.peak_jerk),
-            self._peak("velocity", "m/s", self.velocity, table.peak_velocity),
-            self._peak("displacement", "m", self.displacement, table.peak_displacement),
-        ]
-        left, end = abs(float(self.velocity[-1])), (len(self.velocity) - 2) * self.sample_period
-        return [*found, Demand("velocity at the end", "m/s", left, end, REST * table.peak_velocity)]
-
-    def _peak(self, name: str, unit: str, values: NDArray[np.float64], limit: float) -> Demand:
-        peak = int(np.argmax(np.abs(values)))
-        return Demand(name, unit, abs(float(values[peak])), max(0, peak - 1) * self.sample_period, limit)
-
-
-def table_motion(acceleration: NDArray[np.float64], sample_rate: float, displacement: float = 0.0) -> TableMotion:
-    """The motion of a table.
+def table_demands(
+    acceleration: NDArray[np.float64], sample_rate: float, table: Table, displacement: float = 0.0
+) -> list[Demand]:
+    """The demands of a motion on a table, with the table's limits.
 
     Parameters
     ----------
@@ -118,13 +86,25 @@ def table_motion(acceleration: NDArray[np.float64], sample_rate: float, displace
         (samples,) [m/s^2].
     sample_rate
         [Hz].
+    table
+        Its limits.
     displacement
         Where the table rests before [m].
     """
     period = 1 / sample_rate
     whole = np.concatenate([[0.0], acceleration, [0.0]])
     velocity, path = integrate(whole, period)
-    return TableMotion(period, whole, velocity, displacement + path)
+    found = []
+    for name, unit, values, limit in (
+        ("acceleration", "m/s^2", whole, table.peak_acceleration),
+        ("jerk", "m/s^3", np.diff(whole) / period, table.peak_jerk),
+        ("velocity", "m/s", velocity, table.peak_velocity),
+        ("displacement", "m", displacement + path, table.peak_displacement),
+    ):
+        peak = int(np.argmax(np.abs(values)))
+        found.append(Demand(name, unit, abs(float(values[peak])), max(0, peak - 1) * period, limit))
+    left, end = abs(float(velocity[-1])), len(acceleration) * period
+    return [*found, Demand("velocity at the end", "m/s", left, end, REST * table.peak_velocity)]
 
 
 def check_motion(
@@ -157,7 +137,7 @@ def check_motion(
     AbraceError
         In one line: each quantity beyond its limit, its value, when it is reached, the limit, and what to do.
     """
-    demands = table_motion(acceleration, sample_rate, displacement).demands(table)
+    demands = table_demands(acceleration, sample_rate, table, displacement)
     beyond = [demand for demand in demands if demand.exceeded]
     if beyond:
         excess = "; ".join(f"{demand}, expected {remedies[demand.name]}" for demand in beyond)

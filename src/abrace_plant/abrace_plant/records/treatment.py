@@ -2,21 +2,19 @@
 """Treatment of a record for the table: baseline, time scale, filters, resampling to the rig's rate, scaling to a PGA.
 
 The paper plays El Centro for 100 s and Kobe for 60 s, both at 0.1 g. White noise for the table comes from
-`abrace_core.table_signals`.
+`abrace_core.model.table_signals`.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
 from fractions import Fraction
-from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
-from abrace_plant.records.intensity import integrate
+from abrace_core import AbraceError
+from abrace_plant.records.measures import integrate
+from abrace_plant.records.options import Treatment
 from abrace_plant.records.record import check_record
 
 if TYPE_CHECKING:
@@ -30,10 +28,6 @@ STOPBAND = 100.0
 """Attenuation beyond the band limit [dB]; the ripple in the pass band is as small (1e-5)."""
 RESAMPLING_STOPBAND = 105.0
 """The same where the limit is half the lower sample rate, at which images of the highest frequencies add up."""
-BAND_LIMIT = 25.0
-"""Highest frequency of the motions that nodes play, unless another is given [Hz]."""
-LOWEST_BAND_LIMIT = 0.1
-"""[Hz]; no earthquake is left below it, and the filter, whose length grows as it falls, would take minutes."""
 FADE = 0.5
 """Seconds at the end of a motion that is cut, in which it comes to rest."""
 MAX_RATIO = 5000
@@ -42,63 +36,6 @@ BASELINES = {"none": 0, "constant": 1, "linear": 2, "quadratic": 3}
 """Baselines that can be removed from an acceleration, and how many coefficients each has."""
 LOW_CUT_ORDER = 4
 """Order of the Butterworth filter that the low cut amounts to, run forwards and backwards."""
-
-
-@dataclass(frozen=True)
-class Treatment:
-    """How a record is treated before it is played, in the order of the steps.
-
-    Times and frequencies are those of the played motion, after the time scaling.
-
-    Parameters
-    ----------
-    baseline
-        "none", "constant", "linear" or "quadratic": the polynomial in the acceleration whose removal leaves the least
-        mean square velocity (Berg and Housner, 1961; of its limits, Boore and Bommer, 2005).
-    time_scale
-        Time of the played motion over time of the record: the square root of the length scale for a model under the
-        same gravity and the same accelerations. 1: as recorded.
-    taper
-        Length of the linear taper at each end of the record [s]. Without a low cut it makes velocity and displacement
-        drift.
-    low_cut
-        Frequency below which the motion is removed [Hz], without a shift in time; the amplitude is half there, as after
-        a Butterworth filter of order 4 forwards and backwards. The motion begins and ends with velocity zero. 0: none.
-    band_limit
-        End of the low-pass filter [Hz]; below 0.79 times it the motion is unchanged within 1e-5. 0, or more than half
-        of the record's or of the rig's sample rate: that half, below 0.8 times which it is unchanged within 1e-5, and
-        no filter where the two rates are equal. Otherwise at least 0.1 Hz.
-    peak_acceleration
-        Greatest absolute value of the whole treated motion [m/s^2], met exactly, before a longer motion is cut; 0: as
-        recorded.
-    duration
-        [s]; a shorter motion is followed by zeros, a longer one is cut and comes to rest (acceleration and
-        velocity zero) over its last 0.5 s. 0: the whole record.
-    """
-
-    baseline: str = "none"
-    time_scale: float = 1.0
-    taper: float = 0.0
-    low_cut: float = 0.0
-    band_limit: float = 0.0
-    peak_acceleration: float = 0.0
-    duration: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.baseline not in BASELINES:
-            raise AbraceError(f"ground motion baseline {self.baseline!r}: expected one of {', '.join(BASELINES)}")
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name == "baseline":
-                continue
-            expected = "more than 0" if field.name == "time_scale" else "0 or more"
-            is_number = isinstance(value, Real) and math.isfinite(value)
-            if not is_number or value < 0 or (value == 0 and field.name == "time_scale"):
-                raise AbraceError(f"ground motion {field.name} {value!r}: expected {expected}")
-        if 0 < self.band_limit < LOWEST_BAND_LIMIT:
-            raise AbraceError(
-                f"ground motion band_limit {self.band_limit:g} Hz: expected 0 or at least {LOWEST_BAND_LIMIT:g} Hz"
-            )
 
 
 def prepare(record: Record, sample_rate: float, treatment: Treatment | None = None) -> NDArray[np.float64]:

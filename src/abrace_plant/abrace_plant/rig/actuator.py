@@ -17,10 +17,22 @@ force rises towards the supply pressure (Merritt 1967, chapter 5):
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+import pydantic
 
-from abrace_core.linear_model import LinearModel
+from abrace_core.files.quantity import Quantity
+from abrace_core.model.linear_model import LinearModel
+from abrace_plant.rig.checks import (  # noqa: TC001, as pydantic reads the annotations
+    Force,
+    ForceRate,
+    Length,
+    NotNegative,
+    Positive,
+    SomeForce,
+    Stiffness,
+)
 
 
 @dataclass(frozen=True)
@@ -58,19 +70,19 @@ class Actuator:
         Greatest command [N] that the rig lets act, if that is less than the capacity.
     """
 
-    capacity: float
-    rate_limit: float
-    lag: float
-    integral_rate: float
-    velocity_feedback: float
-    flow_limit: float = np.inf
-    stroke_limit: float = np.inf
-    stop_stiffness: float = 0.0
-    command_delay: float = 0.0
-    friction: float = 0.0
-    deadband: float = 0.0
-    stall_force: float = np.inf
-    command_limit: float = np.inf
+    capacity: Force
+    rate_limit: ForceRate
+    lag: Annotated[float, pydantic.Field(ge=1e-5, le=0.05), Quantity("s")]
+    integral_rate: Annotated[Positive, Quantity("1/s")]
+    velocity_feedback: Annotated[NotNegative, Quantity("N s/m")]
+    flow_limit: ForceRate
+    stroke_limit: Length
+    stop_stiffness: Stiffness
+    command_delay: Annotated[float, pydantic.Field(ge=0, le=0.1), Quantity("s")] = 0.0
+    friction: SomeForce = 0.0
+    deadband: SomeForce = 0.0
+    stall_force: Force = np.inf
+    command_limit: Force = np.inf
 
     def bench_model(self) -> LinearModel:
         """U to f with the rod blocked, as on the bench (Fig. 2)."""

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
-from abrace_plant.frames.structure import rayleigh_coefficients
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from abrace_plant.rig.hysteresis import Hysteresis
@@ -48,8 +49,6 @@ class Building:
         Springs that yield, each in place of a part of the stiffness.
     heights
         (floors,) of the storeys [m]; empty: all alike.
-    frequency_errors
-        (floors,) of a frame condensed to its levels: relative error of each frequency; empty: no frame.
     """
 
     masses: NDArray[np.float64]
@@ -58,7 +57,6 @@ class Building:
     friction: tuple[float, ...] = ()
     hysteresis: tuple[Hysteresis, ...] = ()
     heights: tuple[float, ...] = ()
-    frequency_errors: tuple[float, ...] = ()
 
     @property
     def floors(self) -> int:
@@ -200,6 +198,17 @@ def rayleigh_damping(
                 f"(modes 1 to {len(every)} get {listed})"
             )
     return np.asarray(of_mass * np.diag(masses) + of_stiffness * stiffness)
+
+
+def rayleigh_coefficients(frequencies: Sequence[float], ratios: Sequence[float]) -> tuple[float, float]:
+    """a0 [1/s] and a1 [s] of the damping a0 M + a1 K with given ratios at two frequencies [rad/s] (Chopra, 11.4.1).
+
+    >>> [round(value, 6) for value in rayleigh_coefficients((1.0, 9.0), (0.05, 0.05))]
+    [0.09, 0.01]
+    """
+    two = np.asarray(frequencies)
+    of_mass, of_stiffness = np.linalg.solve(np.column_stack([1 / two, two]) / 2, np.array(ratios))
+    return float(of_mass), float(of_stiffness)
 
 
 def _modes(

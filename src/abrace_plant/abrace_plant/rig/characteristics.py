@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from abrace_core import signals
-from abrace_core.linear_model import pole_table
+from abrace_core.model import signals
+from abrace_core.model.linear_model import pole_table
 from abrace_plant.rig import published
 
 if TYPE_CHECKING:
@@ -96,9 +96,9 @@ def force_response(rig: Rig, group: int, omega: NDArray[np.float64]) -> NDArray[
 
 def characterize(rig: Rig) -> Characteristics:
     """Measure a `rig`."""
-    everything = pole_table(rig.model.poles())
+    everything = pole_table(rig.model.poles)
     zero_command = []
-    for frequency, _ in pole_table(replace(rig, local_modes=()).model.poles())[: rig.floors]:
+    for frequency, _ in pole_table(replace(rig, local_modes=()).model.poles)[: rig.floors]:
         nearest = min(everything, key=lambda pair: abs(np.log(pair[0] / frequency)))
         everything.remove(nearest)
         zero_command.append(nearest)
@@ -118,7 +118,7 @@ def characterize(rig: Rig) -> Characteristics:
             )
         )
     return Characteristics(
-        bare=tuple(pole_table(rig.bare_frame().model.poles())),
+        bare=tuple(pole_table(rig.bare_frame().model.poles)),
         zero_command=tuple(zero_command),
         extra=tuple(everything),
         shape=tuple((floors / floors[-1]).real.tolist()),
@@ -126,40 +126,48 @@ def characterize(rig: Rig) -> Characteristics:
     )
 
 
-def comparison(found: Characteristics) -> list[tuple[str, str, float, float]]:
-    """Rows (quantity, unit, found, published) of the quantities that the paper gives of its rig.
+def rows(found: Characteristics, rig: Rig) -> list[tuple[str, str, float, float | None]]:
+    """Rows (quantity, unit, found, published) of a table; published is None where the paper's rig is another one.
 
     Parameters
     ----------
     found
-        Of the rig `published.RIG`.
+        The characteristics.
+    rig
+        Whose they are.
     """
-    rows: list[tuple[str, str, float, float]] = []
+    is_papers = rig.name == published.RIG
+    table: list[tuple[str, str, float, float | None]] = []
+
+    def add(quantity: str, unit: str, value: float, paper: float) -> None:
+        table.append((quantity, unit, value, paper if is_papers else None))
+
     for title, ours, theirs in (
         ("bare frame", found.bare, published.BARE),
         ("zero command", found.zero_command, published.ZERO_COMMAND),
         ("further pair", found.extra, published.EXTRA),
     ):
-        for number, (pair, printed) in enumerate(zip(ours, theirs, strict=True), 1):
-            rows.append((f"{title} {number}: frequency", "rad/s", pair[0], printed[0]))
-            rows.append((f"{title} {number}: damping", "%", 100 * pair[1], 100 * printed[1]))
-    brace = found.braces[0]
-    rows.append(("bench: greatest gain", "-", 1 + brace.bench_gain_error, 1.0))
-    rows.append(("bench: lag", "ms", 1e3 * brace.bench_lag, 1e3 * published.BENCH_LAG))
-    for number, (minimum, (frequency, _)) in enumerate(
-        zip(brace.antiresonances, published.ZERO_COMMAND, strict=True), 1
-    ):
-        rows.append((f"f/U: antiresonance {number}", "rad/s", minimum, frequency))
-    for number, (ours_at, theirs_at) in enumerate(zip(found.shape[:-1], published.SHAPE[:-1], strict=True), 1):
-        rows.append((f"first mode: x{number}/x{len(found.shape)}", "-", ours_at, theirs_at))
-    rows.append(("first mode: xf/x1", "-", brace.stroke_ratio, published.STROKE_RATIO))
-    return rows
+        for number, (pair, printed) in enumerate(zip(ours, theirs if is_papers else ours, strict=True), 1):
+            add(f"{title} {number}: frequency", "rad/s", pair[0], printed[0])
+            add(f"{title} {number}: damping", "%", 100 * pair[1], 100 * printed[1])
+    for group, brace in enumerate(found.braces, 1):
+        name = f"group {group}, " if len(found.braces) > 1 else ""
+        add(f"{name}bench: greatest gain", "-", 1 + brace.bench_gain_error, 1.0)
+        add(f"{name}bench: lag", "ms", 1e3 * brace.bench_lag, 1e3 * published.BENCH_LAG)
+        of_building = published.ZERO_COMMAND if is_papers else found.zero_command
+        for number, (minimum, (frequency, _)) in enumerate(zip(brace.antiresonances, of_building, strict=True), 1):
+            add(f"{name}f/U: antiresonance {number}", "rad/s", minimum, frequency)
+        add(f"{name}first mode: stroke/displacement", "-", brace.stroke_ratio, published.STROKE_RATIO)
+    shape = published.SHAPE if is_papers else found.shape
+    for number, (ours_at, theirs_at) in enumerate(zip(found.shape[:-1], shape[:-1], strict=True), 1):
+        add(f"first mode: x{number}/x{len(found.shape)}", "-", ours_at, theirs_at)
+    return table
 
 
 def as_json(found: Characteristics, rig: Rig) -> dict[str, Any]:
     """The content of characteristics.json: SI units, None where there is none.
 
-    A frame condensed to its levels has the errors of its frequencies, the paper's rig the comparison.
+    The paper's rig has the comparison.
 
     Parameters
     ----------
@@ -171,12 +179,10 @@ def as_json(found: Characteristics, rig: Rig) -> dict[str, Any]:
     content: dict[str, Any] = {"rig": rig.name, **asdict(found)}
     for brace in content["braces"]:
         brace["antiresonances"] = [value if np.isfinite(value) else None for value in brace["antiresonances"]]
-    if rig.building.frequency_errors:
-        content["frequency_errors"] = rig.building.frequency_errors
     if rig.name == published.RIG:
         content["comparison"] = [
             {"quantity": quantity, "unit": unit, "found": ours, "paper": paper}
-            for quantity, unit, ours, paper in comparison(found)
+            for quantity, unit, ours, paper in rows(found, rig)
         ]
     return content
 

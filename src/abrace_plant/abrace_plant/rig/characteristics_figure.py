@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED
+from abrace_core.figures.drawing import MEASURED, REFERENCE, SIMULATED, plain_ticks
 from abrace_plant.rig import published
 from abrace_plant.rig.characteristics import LINES, bench_response, force_response
 
@@ -49,6 +49,7 @@ def characteristics_figure(rig: Rig, found: Characteristics) -> Figure:
         axes[1, 0].legend()
     for frequency, _ in found.zero_command:
         axes[0, 1].axvline(frequency / (2 * np.pi), color=REFERENCE, lw=0.8, ls=":")
+    plain_ticks(axes[0, 1].yaxis, *axes[0, 1].get_ylim())
     if rig.groups > 1:
         axes[0, 1].legend()
     for column in (0, 1):
@@ -77,6 +78,8 @@ def _poles(axis: Axes, rig: Rig, found: Characteristics) -> None:
     draw(found.zero_command, "s", SIMULATED, "zero command", 5)
     draw(found.extra, "D", "k", "further pairs", 5)
     axis.set_ylim(top=5 * axis.get_ylim()[1])
+    plain_ticks(axis.xaxis, *axis.get_xlim())
+    plain_ticks(axis.yaxis, *axis.get_ylim())
     axis.set_title("poles")
     axis.set_xlabel("frequency [rad/s]")
     axis.set_ylabel("damping ratio [%]")

@@ -28,9 +28,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy import linalg
 
-from abrace_core import signals
-from abrace_core.discretization import discretize
-from abrace_core.linear_model import LinearModel
+from abrace_core.model import signals
+from abrace_core.model.discretization import discretize
+from abrace_core.model.linear_model import LinearModel
 from abrace_plant.rig.limits import frequencies
 
 if TYPE_CHECKING:
@@ -51,6 +51,7 @@ SETTLING = 5.0
 """Time constants of the high-pass after which the implausibility of an acceleration counts: it may start in motion."""
 
 Matrices = tuple["NDArray[np.float64]", "NDArray[np.float64]", "NDArray[np.float64]", "NDArray[np.float64]"]
+UNFILTERED: Matrices = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
 
 
 class Quantity(NamedTuple):
@@ -76,56 +77,8 @@ class Detectors(NamedTuple):
     """(states, inputs): the states after inputs that have always been the same."""
     settling: int
     """Samples after a start for which the implausibility of accelerations does not count; one or more."""
-
-    def noise(self, deviations: NDArray[np.float64]) -> dict[str, float]:
-        """Standard deviation of the noisiest quantity of each interlock, by the inputs' `deviations` (inputs,)."""
-        states = len(self.at_rest)
-        a, b, c, d = (
-            self.step[:states, :states],
-            self.step[:states, states:] * deviations,
-            self.step[states:, :states],
-            self.step[states:, states:] * deviations,
-        )
-        covariance = linalg.solve_discrete_lyapunov(a, b @ b.T)
-        variances = np.einsum("ij,jk,ik->i", c, covariance, c) + np.sum(d**2, axis=1)
-        found: dict[str, float] = {}
-        for quantity, variance in zip(self.quantities, variances, strict=True):
-            found[quantity.interlock] = max(found.get(quantity.interlock, 0.0), float(np.sqrt(variance)))
-        return found
-
-
-class _System:
-    """Filters and quantities, put together one after the other."""
-
-    def __init__(self, inputs: int) -> None:
-        self._inputs = inputs
-        self._a: list[NDArray[np.float64]] = []
-        self._b: list[NDArray[np.float64]] = []
-        self._rows: list[tuple[Quantity, int, NDArray[np.float64], NDArray[np.float64]]] = []
-        self._states = 0
-
-    def watch(self, quantity: Quantity, inputs: NDArray[np.float64]) -> None:
-        """Add a quantity that is a sum of inputs, by their factors (inputs,)."""
-        self._rows.append((quantity, 0, np.zeros(0), inputs))
-
-    def filter(self, quantity: Quantity, matrices: Matrices, inputs: NDArray[np.float64]) -> None:
-        """Add a quantity that is a discrete filter's output; `inputs` (filter's inputs, inputs) are its factors."""
-        a, b, c, d = matrices
-        self._a.append(a)
-        self._b.append(b @ inputs)
-        self._rows.append((quantity, self._states, c[0], d[0] @ inputs))
-        self._states += len(a)
-
-    def finished(self, settling: int) -> Detectors:
-        a = linalg.block_diag(*self._a) if self._a else np.zeros((0, 0))
-        b = np.vstack(self._b) if self._b else np.zeros((0, self._inputs))
-        c: NDArray[np.float64] = np.zeros((len(self._rows), self._states))
-        for row, (_, first, of_states, _) in zip(c, self._rows, strict=True):
-            row[first : first + len(of_states)] = of_states
-        d = np.array([of_inputs for _, _, _, of_inputs in self._rows])
-        at_rest = np.linalg.solve(np.eye(self._states) - a, b)
-        step: NDArray[np.float64] = np.ascontiguousarray(np.block([[a, b], [c, d]]))
-        return Detectors(tuple(row[0] for row in self._rows), step, np.asarray(at_rest, dtype=np.float64), settling)
+    noise: dict[str, float]
+    """Standard deviation of the noisiest quantity of each interlock, from the sensors' noise alone."""
 
 
 def detectors(rig: Rig) -> Detectors:
@@ -136,56 +89,71 @@ def detectors(rig: Rig) -> Detectors:
     unit = np.eye(inputs)
     x, stroke, a, force = (unit[first:] for first in (0, n, n + m, 2 * n + m))
     ground, command = unit[len(channels) - 1], unit[len(channels) :]
-    system = _System(inputs)
+    rows: list[tuple[Quantity, Matrices, NDArray[np.float64]]] = []
+
+    def watch(quantity: Quantity, factors: NDArray[np.float64], filtered: Matrices = UNFILTERED) -> None:
+        """Add the output of a discrete filter whose inputs are sums of inputs, by their `factors`."""
+        rows.append((quantity, filtered, np.atleast_2d(factors)))
 
     for i in range(n):
         below = x[i - 1] if i else np.zeros(inputs)
-        system.watch(Quantity("drift", f"x{i + 1}", f"interstorey drift of storey {i + 1}"), x[i] - below)
+        watch(Quantity("drift", f"x{i + 1}", f"interstorey drift of storey {i + 1}"), x[i] - below)
     for i in range(n):
-        system.watch(Quantity("displacement", f"x{i + 1}", f"displacement x{i + 1}"), x[i])
+        watch(Quantity("displacement", f"x{i + 1}", f"displacement x{i + 1}"), x[i])
     cutoff = 2 * np.pi * min(VELOCITY_CUTOFF, rig.sample_rate / 5)
     derivative = _bilinear(_second_order(cutoff, (0.0, cutoff**2, 0.0)), period)
     for i in range(n):
-        system.filter(Quantity("velocity", f"x{i + 1}", f"velocity of floor {i + 1}"), derivative, x[i : i + 1])
+        watch(Quantity("velocity", f"x{i + 1}", f"velocity of floor {i + 1}"), x[i], derivative)
     connected = [j for j in range(m) if rig.braces[j].connected]
     strokes = channels[n : n + m]
     groups = np.repeat(np.arange(m), rig.braces_in_group).tolist()
-    cells = [(channels[2 * n + m + k], force[k : k + 1], j) for k, j in enumerate(groups) if rig.braces[j].connected]
+    cells = [(channels[2 * n + m + k], force[k], j) for k, j in enumerate(groups) if rig.braces[j].connected]
     for j in connected:
-        system.watch(Quantity("stroke", strokes[j], f"stroke {strokes[j]}"), stroke[j])
+        watch(Quantity("stroke", strokes[j], f"stroke {strokes[j]}"), stroke[j])
     for i in range(n):
-        system.watch(Quantity("acceleration", f"a{i + 1}", f"acceleration a{i + 1}"), a[i])
+        watch(Quantity("acceleration", f"a{i + 1}", f"acceleration a{i + 1}"), a[i])
     for name, measured, j in cells:
-        system.watch(Quantity("force", name, f"force {name}"), measured[0])
+        watch(Quantity("force", name, f"force {name}"), measured)
         error = Quantity("force_error", name, f"force {name} against its command")
         actuator = rig.braces[j].actuator
         lagging = _lag(actuator.lag, actuator.command_delay, period)
-        system.filter(error, lagging, np.vstack([command[j : j + 1], measured]))
+        watch(error, np.vstack([command[j], measured]), lagging)
     modes = frequencies(rig)
     faster = _bilinear(_second_order(FASTER * modes[-1], (1.0, 0.0, 0.0)), period)
     for name, measured, _ in cells:
         text = f"oscillation of force {name}, rms above {FASTER * modes[-1] / (2 * np.pi):.3g} Hz"
-        system.filter(Quantity("oscillation", name, text), faster, measured)
-    system.watch(Quantity("table_displacement", "table", "displacement of the table when it is stopped"), unit[-2])
-    system.watch(Quantity("table_velocity", "table", "velocity of the table"), unit[-1])
+        watch(Quantity("oscillation", name, text), measured, faster)
+    watch(Quantity("table_displacement", "table", "place where the table would stop"), unit[-2])
+    watch(Quantity("table_velocity", "table", "velocity of the table"), unit[-1])
 
     slow, fast = (factor * modes[0] for factor in BAND)
     residual = _bilinear(_residual(slow, fast), period)
     for i in range(n):
         name = f"a{i + 1} against x{i + 1} and {signals.GROUND}"
-        system.filter(
-            Quantity("implausible_acceleration", f"a{i + 1}", name), residual, np.array([a[i] - ground, x[i]])
-        )
+        watch(Quantity("implausible_acceleration", f"a{i + 1}", name), np.array([a[i] - ground, x[i]]), residual)
     for j in connected:
         group = rig.braces[j]
         expected = group.cosine * group.direction(n) @ x[:n]
         name = f"stroke {strokes[j]} against its floor's displacement"
-        system.watch(Quantity("implausible_stroke", strokes[j], name), stroke[j] - expected)
+        watch(Quantity("implausible_stroke", strokes[j], name), stroke[j] - expected)
     sensors = rig.channel_sensors
     for k, channel in enumerate(channels):
         jump = _second_difference(1 / sensors[k].range)
-        system.filter(Quantity("noisy", channel, f"jumps of {channel}"), jump, unit[k : k + 1])
-    return system.finished(int(np.ceil(SETTLING / slow / period)))
+        watch(Quantity("noisy", channel, f"jumps of {channel}"), unit[k], jump)
+    one, two = (linalg.block_diag(*[matrices[k] for _, matrices, _ in rows]) for k in (0, 2))
+    entering, direct = (np.vstack([matrices[k] @ factors for _, matrices, factors in rows]) for k in (1, 3))
+    at_rest = np.linalg.solve(np.eye(len(one)) - one, entering)
+    step: NDArray[np.float64] = np.ascontiguousarray(np.block([[one, entering], [two, direct]]))
+    # of the readings, steps of the converter included; command and table have none
+    noises = [np.hypot(sensor.noise, sensor.step / np.sqrt(12)) for sensor in sensors]
+    deviations = np.array([*noises, *[0.0] * (m + 2)])
+    covariance = linalg.solve_discrete_lyapunov(one, (entering * deviations) @ (entering * deviations).T)
+    variances = np.einsum("ij,jk,ik->i", two, covariance, two) + np.sum((direct * deviations) ** 2, axis=1)
+    noise: dict[str, float] = {}
+    for (quantity, _, _), variance in zip(rows, variances, strict=True):
+        noise[quantity.interlock] = max(noise.get(quantity.interlock, 0.0), float(np.sqrt(variance)))
+    quantities, settling = tuple(quantity for quantity, _, _ in rows), int(np.ceil(SETTLING / slow / period))
+    return Detectors(quantities, step, np.asarray(at_rest, dtype=np.float64), settling, noise)
 
 
 def _second_order(frequency: float, *numerators: Sequence[float]) -> Matrices:
@@ -225,9 +193,3 @@ def _second_difference(factor: float) -> Matrices:
     """factor (r(k) - 2 r(k-1) + r(k-2)): small for a smooth motion, 2.4 times the rms for white noise."""
     a, b = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([[1.0], [0.0]])
     return a, b, factor * np.array([[-2.0, 1.0]]), np.array([[factor]])
-
-
-def sensor_noise(rig: Rig) -> NDArray[np.float64]:
-    """(inputs,) standard deviations of the inputs by the sensors of a `rig` alone, steps of the converter included."""
-    readings = [np.hypot(sensor.noise, sensor.step / np.sqrt(12)) for sensor in rig.channel_sensors]
-    return np.array([*readings, *[0.0] * (rig.groups + 2)])

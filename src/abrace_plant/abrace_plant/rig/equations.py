@@ -69,10 +69,11 @@ def equations(rig: Rig) -> Equations:
     of_storeys[:, accelerations] = at_storeys[velocities].T
 
     a, b = model.a, model.b
-    if rig.table_dynamics is not None:
+    if (table := rig.table_dynamics) is not None:
         floor_forces = rig.building.masses @ np.hstack([a[velocities], at_storeys[velocities]])
-        row = rig.table_dynamics.acceleration_row(floor_forces[:states])
-        of_forces = -floor_forces[states:] / rig.table_dynamics.mass
+        own = [-(table.frequency**2), -2 * table.damping_ratio * table.frequency]
+        row = np.concatenate([-floor_forces[:states] / table.mass, own])
+        of_forces = -floor_forces[states:] / table.mass
         moved = np.append(b[:, 0], [0.0, 1.0])
         a = np.zeros((states + 2, states + 2))
         a[:states, :states], a[states, states + 1] = model.a, 1.0

@@ -5,138 +5,138 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Generic, Literal, TypeVar
 
 import numpy as np
 import pydantic
 
-from abrace_core.config_file import Checked, read_config
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
+from abrace_core.files.config_file import Checked, read_config
+from abrace_core.files.quantity import Quantity
 from abrace_plant.rig.actuator import Actuator
-from abrace_plant.rig.building import Building
-from abrace_plant.rig.building_file import BuildingContent, frame_file, read_building
-from abrace_plant.rig.checks import DampingRatio, NotNegative, Positive, Real, expect, expect_one_each
-from abrace_plant.rig.detectors import detectors, sensor_noise
-from abrace_plant.rig.limits import check_limits
+from abrace_plant.rig.building_file import BuildingContent, read_building
+from abrace_plant.rig.checks import (
+    Acceleration,
+    Force,
+    Hertz,
+    Length,
+    NotNegative,
+    Positive,
+    Real,
+    SampleRate,
+    SomeAcceleration,
+    SomeForce,
+    SomeLength,
+    Velocity,
+    expect,
+    expect_one_each,
+)
+from abrace_plant.rig.detectors import detectors
+from abrace_plant.rig.limits import check_limits, frequencies
 from abrace_plant.rig.model import BraceGroup, Interlock, LocalMode, Rig
-from abrace_plant.rig.plausibility import check_units
+from abrace_plant.rig.ranges import check_ranges
 from abrace_plant.rig.sensors import AntiAlias, Sensor, SensorSet
-from abrace_plant.rig.table_dynamics import TableDynamics
 from abrace_plant.rig.table_file import TableContent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 
-class _Actuator(Checked):
-    capacity: Positive
-    rate_limit: Positive
-    lag: Positive
-    integral_rate: Positive
-    velocity_feedback: NotNegative
-    flow_limit: Positive
-    stroke_limit: Positive
-    stop_stiffness: Positive
-    command_delay: NotNegative = 0.0
-    friction: NotNegative = 0.0
-    deadband: NotNegative = 0.0
-    stall_force: Positive = np.inf
-    command_limit: Positive = np.inf
-
-
 class _BraceGroup(Checked):
     floor: Annotated[int, pydantic.Field(ge=1)]
     count: Annotated[int, pydantic.Field(ge=1, le=26)]
-    cosine: Annotated[float, pydantic.Field(gt=0, le=1)]
-    stiffener_stiffness: NotNegative
-    actuator: _Actuator
-    backlash: NotNegative = 0.0
-
-
-class _LocalMode(Checked):
-    frequency: Positive
-    damping_ratio: DampingRatio
-    mass: Positive
-    brace_share: list[Real]
-    accelerometer_share: list[Real]
-    transverse_share: list[Real] = []
+    cosine: Annotated[float, pydantic.Field(ge=0.1, le=1)]
+    stiffener_stiffness: Annotated[NotNegative, Quantity("N/m")]
+    actuator: Actuator
+    backlash: SomeLength = 0.0
 
 
 class _Sensor(Checked):
-    range: Positive
-    noise: NotNegative
     bits: Annotated[int, pydantic.Field(ge=2, le=32)]
-    bias: Real = 0.0
-    drift: Real = 0.0
-    hum: NotNegative = 0.0
-    hum_frequency: Annotated[float, pydantic.Field(ge=45, le=65)] = 60.0
-    bandwidth: Positive = np.inf
+    hum_frequency: Annotated[float, pydantic.Field(ge=45, le=65), Quantity("Hz")] = 60.0
+    bandwidth: Hertz = np.inf
 
 
-class _AntiAlias(Checked):
-    cutoff: Positive
-    order: Annotated[int, pydantic.Field(ge=1, le=10)]
+class _LengthSensor(_Sensor):
+    range: Length
+    noise: SomeLength
+    bias: Annotated[Real, Quantity("m")] = 0.0
+    drift: Annotated[Real, Quantity("m/s")] = 0.0
+    hum: SomeLength = 0.0
+
+
+class _Accelerometer(_Sensor):
+    range: Acceleration
+    noise: SomeAcceleration
+    bias: Annotated[Real, Quantity("m/s^2")] = 0.0
+    drift: Annotated[Real, Quantity("m/s^3")] = 0.0
+    hum: SomeAcceleration = 0.0
+
+
+class _LoadCell(_Sensor):
+    range: Force
+    noise: SomeForce
+    bias: Annotated[Real, Quantity("N")] = 0.0
+    drift: Annotated[Real, Quantity("N/s")] = 0.0
+    hum: SomeForce = 0.0
 
 
 class _Sensors(Checked):
-    displacement: _Sensor
-    stroke: _Sensor
-    acceleration: _Sensor
-    force: _Sensor
-    ground_acceleration: _Sensor
-    anti_alias: _AntiAlias | None = None
-    cross_axis: Annotated[float, pydantic.Field(ge=0, le=0.2)] = 0.0
+    displacement: _LengthSensor
+    stroke: _LengthSensor
+    acceleration: _Accelerometer
+    force: _LoadCell
+    ground_acceleration: _Accelerometer
+    anti_alias: AntiAlias | None = None
+    cross_axis: Annotated[float, pydantic.Field(ge=0, le=0.2), Quantity("1")] = 0.0
 
 
 class _ReadingInterlock(Checked):
-    time: Annotated[float, pydantic.Field(ge=0, le=2)]
+    time: Annotated[float, pydantic.Field(ge=0, le=2), Quantity("s")]
     action: Literal["stop", "warn"] = "stop"
     reset: Literal["person"] = "person"
 
 
-class _Interlock(_ReadingInterlock):
-    value: Positive
+Times = Annotated[Positive, Quantity("1")]
+Value = TypeVar("Value")
+
+
+class _Interlock(_ReadingInterlock, Generic[Value]):
+    value: Value
 
 
 class _Interlocks(Checked):
-    drift: _Interlock | None = None
-    displacement: _Interlock | None = None
-    velocity: _Interlock | None = None
-    stroke: _Interlock | None = None
-    acceleration: _Interlock | None = None
-    force: _Interlock | None = None
-    force_error: _Interlock | None = None
-    oscillation: _Interlock | None = None
-    table_displacement: _Interlock | None = None
-    table_velocity: _Interlock | None = None
-    implausible_acceleration: _Interlock | None = None
-    implausible_stroke: _Interlock | None = None
-    noisy: _Interlock | None = None
-    dead: _Interlock | None = None
+    drift: _Interlock[Length] | None = None
+    displacement: _Interlock[Length] | None = None
+    velocity: _Interlock[Velocity] | None = None
+    stroke: _Interlock[Length] | None = None
+    acceleration: _Interlock[Acceleration] | None = None
+    force: _Interlock[Force] | None = None
+    force_error: _Interlock[Force] | None = None
+    oscillation: _Interlock[Force] | None = None
+    table_displacement: _Interlock[Length] | None = None
+    table_velocity: _Interlock[Velocity] | None = None
+    implausible_acceleration: _Interlock[Acceleration] | None = None
+    implausible_stroke: _Interlock[Length] | None = None
+    noisy: _Interlock[Times] | None = None
+    dead: _Interlock[Times] | None = None
     stuck: _ReadingInterlock | None = None
     clipped: _ReadingInterlock | None = None
 
 
 class _Rig(Checked):
     name: str
-    sample_rate: Positive
+    sample_rate: SampleRate
     table: TableContent
     building: BuildingContent
     braces: Annotated[list[_BraceGroup], pydantic.Field(min_length=1)]
-    local_modes: list[_LocalMode] = []
+    local_modes: list[LocalMode] = []
     sensors: _Sensors
     interlocks: _Interlocks = _Interlocks()
 
 
-def load_rig(path: Path | str, frame: Path | None = None) -> Rig:
+def load_rig(path: Path | str) -> Rig:
     """Read and check a rig file.
-
-    Parameters
-    ----------
-    path
-        The rig file.
-    frame
-        The frame file; None: the one that the rig file names, if it names one.
 
     Raises
     ------
@@ -145,110 +145,73 @@ def load_rig(path: Path | str, frame: Path | None = None) -> Rig:
     """
     content = read_config(path, _Rig, "rig")
     try:
-        return _rig(content, frame)
+        return _rig(content)
     except AbraceError as error:
         raise AbraceError(f"rig file {path}: {error}") from error
 
 
-def frame_of(path: Path | str) -> Path | None:
-    """The frame file that a rig file names.
-
-    Raises
-    ------
-    AbraceError
-        If it is no rig file, or there is no such frame file.
-    """
-    named = read_config(path, _Rig, "rig").building.frame
-    return None if named is None else frame_file(named)
-
-
 def recorded_rig(facts: Mapping[str, str]) -> Rig | None:
-    """The rig of a bag, from its `facts` `rig_file` and `frame_file`, which are the files' texts; None: not recorded.
-
-    A bag without `frame_file` was recorded by an older version: then the frame file is the one that the rig file names.
+    """The rig of a bag, from `rig_file` of its `facts`, which is the file's text; None: not recorded.
 
     Raises
     ------
     AbraceError
-        If a file is wrong, or the frame file is neither in the bag nor on this machine.
+        If the file is wrong.
     """
     if "rig_file" not in facts:
         return None
     with tempfile.TemporaryDirectory() as folder:
-        path, frame = Path(folder) / "rig.yaml", Path(folder) / "frame.yaml"
+        path = Path(folder) / "rig.yaml"
         path.write_text(facts["rig_file"], encoding="utf-8")
-        if "frame_file" not in facts:
-            return load_rig(path)
-        frame.write_text(facts["frame_file"], encoding="utf-8")
-        return load_rig(path, frame)
+        return load_rig(path)
 
 
-def _rig(content: _Rig, frame: Path | None) -> Rig:
-    building, storey_height, stated_stiffness, stated_damping = read_building(content.building, frame)
+def _rig(content: _Rig) -> Rig:
+    building, storey_height, stated_stiffness = read_building(content.building)
     floors, groups = building.floors, len(content.braces)
     for i, group in enumerate(content.braces):
         expect(group.floor <= floors, f"braces.{i}.floor", group.floor, f"a floor from 1 to {floors}")
+        # backlash is crossed at the speed that the oil column's stiffness gives the valve's flow
+        possible = not group.backlash or group.actuator.velocity_feedback > 0
+        expected = "0 if actuator.velocity_feedback is 0: the speed at which it is crossed would be undefined"
+        expect(possible, f"braces.{i}.backlash", f"{group.backlash:g} m", expected)
     for i, mode in enumerate(content.local_modes):
         expect_one_each(mode.brace_share, f"local_modes.{i}.brace_share", groups, "brace groups")
         expect_one_each(mode.accelerometer_share, f"local_modes.{i}.accelerometer_share", floors, "floors")
         if mode.transverse_share:
             expect_one_each(mode.transverse_share, f"local_modes.{i}.transverse_share", floors, "floors")
-    _check_braces(content)
 
     rig = Rig(
         name=content.name,
         sample_rate=content.sample_rate,
         table=content.table.table(),
         building=building,
-        braces=tuple(
-            BraceGroup(**dict(group) | {"actuator": Actuator(**dict(group.actuator))}) for group in content.braces
-        ),
-        local_modes=tuple(
-            LocalMode(
-                mode.frequency,
-                mode.damping_ratio,
-                mode.mass,
-                tuple(mode.brace_share),
-                tuple(mode.accelerometer_share),
-                tuple(mode.transverse_share),
-            )
-            for mode in content.local_modes
-        ),
+        braces=tuple(BraceGroup(**dict(group)) for group in content.braces),
+        local_modes=tuple(content.local_modes),
         sensors=_sensors(content.sensors),
         storey_height=storey_height,
         interlocks={
             name: Interlock(**{"value": 0.0} | dict(given)) for name, given in content.interlocks if given is not None
         },
-        table_dynamics=TableDynamics(**dict(content.table.dynamics)) if content.table.dynamics else None,
+        table_dynamics=content.table.dynamics,
+        table_driven=content.table.driven,
     )
-    check_units(rig, stated_stiffness, stated_damping)
+    check_ranges(rig, stated_stiffness)
     _expect_fast_enough(rig)
-    check_limits(rig, detectors(rig).noise(sensor_noise(rig)))
+    check_limits(rig, detectors(rig).noise)
     return rig
-
-
-def _check_braces(content: _Rig) -> None:
-    """Backlash is crossed at the speed that the oil column's stiffness gives the valve's flow."""
-    for i, group in enumerate(content.braces):
-        possible = not group.backlash or group.actuator.velocity_feedback > 0
-        expected = "0 if actuator.velocity_feedback is 0: the speed at which it is crossed would be undefined"
-        expect(possible, f"braces.{i}.backlash", f"{group.backlash:g} m", expected)
 
 
 def _sensors(sensors: _Sensors) -> SensorSet:
     kinds = {kind: Sensor(**dict(sensor)) for kind, sensor in sensors if isinstance(sensor, _Sensor)}
-    filters = AntiAlias(**dict(sensors.anti_alias)) if sensors.anti_alias else None
-    return SensorSet(**kinds, anti_alias=filters, cross_axis=sensors.cross_axis)
+    return SensorSet(**kinds, anti_alias=sensors.anti_alias, cross_axis=sensors.cross_axis)
 
 
 def _expect_fast_enough(rig: Rig) -> None:
     """Half the sample rate must be above every mode: faster ones are aliased and cannot be controlled."""
-    stiffness = rig.building.stiffness + sum(
-        group.stiffener_stiffness * np.outer(group.direction(rig.floors), group.direction(rig.floors))
-        for group in rig.braces
-    )
-    frequencies, _ = Building(rig.building.masses, stiffness, rig.building.damping).modes()
-    modes = [(frequency, f"mode {i} of the building with its stiffeners") for i, frequency in enumerate(frequencies, 1)]
+    modes = [
+        (frequency, f"mode {i} of the building with its stiffeners") for i, frequency in enumerate(frequencies(rig), 1)
+    ]
     modes += [(mode.frequency, f"local_modes.{i}") for i, mode in enumerate(rig.local_modes)]
     fastest, name = max(modes)
     hertz = fastest / (2 * np.pi)

@@ -13,6 +13,11 @@ and Point 2004).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+import pydantic
+
+from abrace_plant.rig.checks import Length, Stiffness  # noqa: TC001, as pydantic reads the annotations
 
 
 @dataclass(frozen=True)
@@ -33,8 +38,8 @@ class Hysteresis:
         0.5 to 1: from 0.5 on, unloading is linear; with 1 a loop encloses most.
     """
 
-    storey: int
-    stiffness: float
-    yield_drift: float
-    exponent: float = 2.0
-    beta: float = 0.5
+    storey: Annotated[int, pydantic.Field(ge=1)]
+    stiffness: Stiffness
+    yield_drift: Length
+    exponent: Annotated[float, pydantic.Field(ge=1, le=20)] = 2.0
+    beta: Annotated[float, pydantic.Field(ge=0.5, le=1)] = 0.5

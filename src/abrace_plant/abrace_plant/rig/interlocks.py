@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from abrace_core import signals
-from abrace_core.compiled import compiled
-from abrace_plant.rig.detectors import OSCILLATION_TIME, Quantity, detectors, sensor_noise
-from abrace_plant.rig.limits import FORCES, UNITS, cell_limits, limit_table
+from abrace_core.model import signals
+from abrace_core.model.compiled import compiled
+from abrace_plant.rig.detectors import OSCILLATION_TIME, Quantity, detectors
+from abrace_plant.rig.limits import FORCES, INTERLOCKS, cell_limits, limit_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,7 +48,7 @@ class Trip(NamedTuple):
     name
         Of the quantity, as in messages.
     value, limit
-        At the sample at which it acted, and the interlock's; SI units, see `limits.UNITS`. Of `stuck`, `dead` and
+        At the sample at which it acted, and the interlock's; SI units, see `limits.INTERLOCKS`. Of `stuck`, `dead` and
         `clipped` the value is the reading.
     time
         For which the limit was exceeded [s].
@@ -67,7 +67,7 @@ class Trip(NamedTuple):
             return f"{self.name}: {self.value}, expected a number"
         if self.interlock in STATES:
             return f"{self.name} at {_short(self.value)} {span} (interlocks.{self.interlock})"
-        unit = UNITS[self.interlock]
+        _, unit = INTERLOCKS[self.interlock]
         found = f"{self.name}: {_short(self.value)} {unit} {span}"
         return f"{found}, limit {_short(self.limit)} (interlocks.{self.interlock})"
 
@@ -104,8 +104,7 @@ class Interlocks:
 
     def __init__(self, rig: Rig) -> None:
         found = detectors(rig)
-        noise = found.noise(sensor_noise(rig))
-        self.table = limit_table(rig, noise)
+        self.table = limit_table(rig, found.noise)
         sensors, names = rig.channel_sensors, rig.channel_names
         self._channels = count = len(sensors)
         self._names = (*names, *signals.command_names(rig.groups), "displacement of the table", "velocity of the table")
@@ -122,7 +121,7 @@ class Interlocks:
         repeats = [_repeats(sensor, share) for sensor in sensors] + [_repeats(sensor, 0.0) for sensor in sensors]
         self._needed = np.array(needed)
         self._needed[linear : linear + 2 * count] = np.maximum(needed[linear : linear + 2 * count], repeats)
-        of_cells = {name: cell_limits(rig, self.table[name], noise.get(name, 0.0)) for name in FORCES}
+        of_cells = {name: cell_limits(rig, self.table[name], found.noise.get(name, 0.0)) for name in FORCES}
         self._limits = np.array(
             [
                 of_cells[each.interlock][each.channel] if each.interlock in FORCES else kind.value
@@ -134,13 +133,14 @@ class Interlocks:
         states = len(found.at_rest)
         self._at_rest = found.at_rest
         self._vector = np.zeros(found.step.shape[1])
-        self._inputs = self._vector[states:]
+        self._sample = np.zeros((1, len(self._vector) - states))
+        self._inputs = self._sample[0]
         self._reading = self._inputs[:count]
         self._command = self._inputs[count : count + rig.groups]
         self._sizes, self._greatest = np.zeros(linear), np.zeros(linear)
         oscillates = np.array([one.interlock == "oscillation" for one in found.quantities])
         self._power = np.zeros(linear)
-        self._clipped: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
+        self._clipped = np.zeros((1, count), dtype=np.bool_)
         band = share * np.array([sensor.noise for sensor in sensors])
         self._references = np.zeros((2, count))
         self._exceeded = np.zeros(len(self._quantities), dtype=np.int64)
@@ -157,12 +157,11 @@ class Interlocks:
             self._greatest,
             band,
             self._references,
-            self._clipped,
             self._needed,
             self._exceeded,
             self._longest,
         )
-        _look(False, *self._arrays)  # compiled now, and not between two samples
+        _look(0, self._sample, self._clipped, *self._arrays)  # compiled now, and not between two samples
         self._longest[:] = 0
         self.trips = dict.fromkeys(self.table, 0)
         self.warnings: list[Trip] = []
@@ -181,7 +180,7 @@ class Interlocks:
         reading: NDArray[np.float64],
         command: Sequence[float] | NDArray[np.float64],
         table_velocity: float,
-        table_displacement: float,
+        stopping_place: float,
         clipped: int,
     ) -> Trip | None:
         """Check a sample; to be called at every one.
@@ -192,7 +191,7 @@ class Interlocks:
             (channels,) [displacements, strokes, accelerations, forces, ground acceleration], SI units.
         command
             (groups,) [N], in force until this sample, for one brace of each group.
-        table_velocity, table_displacement
+        table_velocity, stopping_place
             Of the commanded motion: its velocity [m/s]; and the displacement at which the table can come to a
             standstill at the earliest [m], as from `TableGuard.turning_point`.
         clipped
@@ -206,20 +205,48 @@ class Interlocks:
         """
         np.positive(reading, self._reading)  # an assignment in NumPy 1 lets other threads have the interpreter
         self._command[:] = command
-        self._inputs[-2], self._inputs[-1] = table_displacement, table_velocity
+        self._inputs[-2], self._inputs[-1] = stopping_place, table_velocity
         if not math.isfinite(sum(self._inputs.tolist())):  # because one of the inputs is not, or is absurd
             return self._not_a_number()
         if not self._samples:
             self._begin()
-        settling = self._samples < self._settling
-        self._samples += settling
+        settling = self._settling - self._samples
+        self._samples += settling > 0
         if clipped != self._was_clipped:
             self._was_clipped = clipped
             self._clipped[:] = [clipped >> i & 1 for i in range(self._channels)]
-        if _look(settling, *self._arrays):
+        if _look(settling, self._sample, self._clipped, *self._arrays) == 0:
             return self._report()
         if self.warnings:
             self.warnings = []
+        return None
+
+    def first_trip(self, inputs: NDArray[np.float64], clipped: NDArray[np.bool_]) -> tuple[int, Trip] | None:
+        """The first sample of a whole test that requires a protective stop, and the interlock; None: there is none.
+
+        Parameters
+        ----------
+        inputs
+            (samples, channels + groups + 2): of each sample what `check` takes, reading, command, place and velocity.
+        clipped
+            (samples, channels): whether a channel is at the end of its range.
+        """
+        finite = np.isfinite(inputs.sum(axis=1))
+        count = len(inputs) if finite.all() else int(np.argmin(finite))
+        first = 0
+        while first < count:
+            self._inputs[:] = inputs[first]
+            if not first:
+                self._begin()
+            first += _look(self._settling - first, inputs[first:count], clipped[first:count], *self._arrays)
+            if first < count:
+                self._inputs[:] = inputs[first]
+                if trip := self._report():
+                    return first, trip
+            first += 1
+        if count < len(inputs):
+            self._inputs[:] = inputs[count]
+            return count, self._not_a_number()
         return None
 
     def utilisation(self) -> dict[str, float]:
@@ -278,7 +305,9 @@ def _repeats(sensor: Sensor, share: float) -> int:
 
 @compiled
 def _look(
-    settling: bool,
+    settling: int,
+    inputs: NDArray[np.float64],
+    clipped: NDArray[np.bool_],
     step: NDArray[np.float64],
     vector: NDArray[np.float64],
     result: NDArray[np.float64],
@@ -290,46 +319,50 @@ def _look(
     greatest: NDArray[np.float64],
     band: NDArray[np.float64],
     references: NDArray[np.float64],
-    clipped: NDArray[np.int64],
     needed: NDArray[np.int64],
     exceeded: NDArray[np.int64],
     longest: NDArray[np.int64],
-) -> bool:
-    """Advance the filters to a sample, and all that counts samples; returns whether an interlock acts.
+) -> int:
+    """Advance the filters through samples, and all that counts them; returns the first one at which an interlock acts.
 
+    That is the number of samples where none does. Of `inputs` and `clipped` each row is a sample.
     result = vector step, where `result` is [next states; quantities] and `vector` [states; inputs]. Of quantities with
-    a share the rms counts, of those that settle nothing while `settling`. `exceeded` counts samples of [quantities;
+    a share the rms counts, of those that settle nothing for so many samples. `exceeded` counts samples of [quantities;
     dead; stuck; clipped], whose `references` are the readings from which the later ones are counted.
     """
     quantities, channels = len(sizes), len(band)
     states = len(result) - quantities
-    result[:] = 0.0
-    for j in range(len(vector)):
-        for i in range(len(result)):
-            result[i] += step[j, i] * vector[j]
-    vector[:states] = result[:states]
     reading = vector[states : states + channels]
-    acts = False
-    for i in range(len(exceeded)):
-        if i < quantities:
-            size = abs(result[states + i])
-            if settling and settles[i]:
-                size = 0.0
-            if shares[i]:
-                power[i] += shares[i] * (size * size - power[i])
-                size = math.sqrt(power[i])
-            sizes[i] = size
-            greatest[i] = max(greatest[i], size)
-            within = size <= limits[i]
-        else:
-            kind, channel = (i - quantities) // channels, (i - quantities) % channels
-            if kind == 2:
-                within = clipped[channel] == 0
+    for k in range(len(inputs)):
+        vector[states:] = inputs[k]
+        result[:] = 0.0
+        for j in range(len(vector)):
+            for i in range(len(result)):
+                result[i] += step[j, i] * vector[j]
+        vector[:states] = result[:states]
+        acts = False
+        for i in range(len(exceeded)):
+            if i < quantities:
+                size = abs(result[states + i])
+                if settling > k and settles[i]:
+                    size = 0.0
+                if shares[i]:
+                    power[i] += shares[i] * (size * size - power[i])
+                    size = math.sqrt(power[i])
+                sizes[i] = size
+                greatest[i] = max(greatest[i], size)
+                within = size <= limits[i]
             else:
-                within = abs(references[kind, channel] - reading[channel]) > (0.0 if kind else band[channel])
-                if within:
-                    references[kind, channel] = reading[channel]
-        exceeded[i] = 0 if within else exceeded[i] + 1
-        longest[i] = max(longest[i], exceeded[i])
-        acts = acts or exceeded[i] >= needed[i]
-    return acts
+                kind, channel = (i - quantities) // channels, (i - quantities) % channels
+                if kind == 2:
+                    within = not clipped[k, channel]
+                else:
+                    within = abs(references[kind, channel] - reading[channel]) > (0.0 if kind else band[channel])
+                    if within:
+                        references[kind, channel] = reading[channel]
+            exceeded[i] = 0 if within else exceeded[i] + 1
+            longest[i] = max(longest[i], exceeded[i])
+            acts = acts or exceeded[i] >= needed[i]
+        if acts:
+            return k
+    return len(inputs)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 from abrace_plant.rig.model import Interlock
 
 if TYPE_CHECKING:
@@ -23,42 +23,26 @@ if TYPE_CHECKING:
 
     from abrace_plant.rig.model import Rig
 
-TIMES = {
-    "drift": 0.01,
-    "displacement": 0.01,
-    "velocity": 0.01,
-    "stroke": 0.01,
-    "acceleration": 0.01,
-    "force": 0.01,
-    "force_error": 0.02,
-    "oscillation": 0.05,
-    "table_displacement": 0.01,
-    "table_velocity": 0.01,
-    "implausible_acceleration": 0.05,
-    "implausible_stroke": 0.05,
-    "noisy": 0.01,
-    "dead": 0.2,
-    "stuck": 0.05,
-    "clipped": 0.02,
+INTERLOCKS = {
+    "drift": (0.01, "m"),
+    "displacement": (0.01, "m"),
+    "velocity": (0.01, "m/s"),
+    "stroke": (0.01, "m"),
+    "acceleration": (0.01, "m/s^2"),
+    "force": (0.01, "N"),
+    "force_error": (0.02, "N"),
+    "oscillation": (0.05, "N"),
+    "table_displacement": (0.01, "m"),
+    "table_velocity": (0.01, "m/s"),
+    "implausible_acceleration": (0.05, "m/s^2"),
+    "implausible_stroke": (0.05, "m"),
+    "noisy": (0.01, "of the range"),
+    "dead": (0.2, "times its noise"),
+    "stuck": (0.05, ""),
+    "clipped": (0.02, ""),
 }
-"""Every interlock, and the time for which its value has to be exceeded unless the rig file says otherwise [s]."""
-UNITS = {
-    "drift": "m",
-    "displacement": "m",
-    "velocity": "m/s",
-    "stroke": "m",
-    "acceleration": "m/s^2",
-    "force": "N",
-    "force_error": "N",
-    "oscillation": "N",
-    "table_displacement": "m",
-    "table_velocity": "m/s",
-    "implausible_acceleration": "m/s^2",
-    "implausible_stroke": "m",
-    "noisy": "of the range",
-    "dead": "times its noise",
-}
-"""Units of their values; `stuck` and `clipped` have none."""
+"""Every interlock: the time for which its value has to be exceeded unless the rig file says otherwise [s], and the
+value's unit; `stuck` and `clipped` have no value."""
 
 YIELD_DRIFT = 0.0125
 """Drift over storey height up to which a steel moment frame is taken for elastic: it yields at 0.01 to 0.02."""
@@ -69,7 +53,7 @@ NOISE_MARGIN = 6.0
 
 
 def limit_table(rig: Rig, noise: Mapping[str, float]) -> dict[str, Interlock]:
-    """Every interlock of a rig, in the order of `TIMES`: from its file, or computed from the rig's numbers.
+    """Every interlock of a rig, in the order of `INTERLOCKS`: from its file, or computed from the rig's numbers.
 
     Parameters
     ----------
@@ -78,12 +62,12 @@ def limit_table(rig: Rig, noise: Mapping[str, float]) -> dict[str, Interlock]:
     noise
         Standard deviation of what each interlock watches, from the sensors' noise alone; of the noisiest channel.
     """
-    values = _values(rig)
-
-    def default(name: str) -> Interlock:
-        return Interlock(max(values.get(name, 0.0), NOISE_MARGIN * noise.get(name, 0.0)), TIMES[name])
-
-    return {name: rig.interlocks.get(name) or default(name) for name in TIMES}
+    found = {}
+    computed = _values(rig)
+    for name, (time, unit) in INTERLOCKS.items():
+        value = max(computed[name][0] if unit else 0.0, NOISE_MARGIN * noise.get(name, 0.0))
+        found[name] = rig.interlocks.get(name) or Interlock(value, time)
+    return found
 
 
 def check_limits(rig: Rig, noise: Mapping[str, float]) -> None:
@@ -96,35 +80,19 @@ def check_limits(rig: Rig, noise: Mapping[str, float]) -> None:
     AbraceError
         Naming the key, its value and what was expected.
     """
-    sensors, table = rig.sensors, rig.table
-    stops = min((group.actuator.stroke_limit for group in rig.braces), default=np.inf)
-    capacity = max((group.actuator.capacity for group in rig.braces), default=np.inf)
-    most = {
-        "drift": (sensors.displacement.range, "the displacement sensors' range"),
-        "displacement": (sensors.displacement.range, "the sensors' range"),
-        "velocity": (sensors.displacement.range * 100, "the displacement sensors' range within 10 ms"),
-        "stroke": min((sensors.stroke.range, "the sensors' range"), (stops, "the actuators' stroke_limit")),
-        "acceleration": (sensors.acceleration.range, "the sensors' range"),
-        "force": (sensors.force.range, "the sensors' range"),
-        "force_error": (2 * capacity, "twice the capacity"),
-        "oscillation": (capacity, "the capacity"),
-        "table_displacement": (table.peak_displacement, "table.peak_displacement"),
-        "table_velocity": (table.peak_velocity, "table.peak_velocity"),
-        "implausible_acceleration": (sensors.acceleration.range, "the sensors' range"),
-        "implausible_stroke": (sensors.stroke.range, "the sensors' range"),
-        "noisy": (1.0, "the sensors' range"),
-        "dead": (1.0, "the noise itself"),
-    }
+    computed = _values(rig)
     for name, interlock in rig.interlocks.items():
-        key, unit = f"interlocks.{name}.value: {interlock.value:g}", UNITS.get(name, "")
-        if name in most and interlock.value >= most[name][0]:
-            end, what = most[name]
-            raise AbraceError(f"{key} {unit}, expected less than {end:g} {unit}, {what}")
-        least = NOISE_MARGIN * noise.get(name, 0.0)
-        if name in UNITS and interlock.value < least:
+        _, unit = INTERLOCKS[name]
+        if not unit:
+            continue
+        _, most, what = computed[name]
+        key, least = f"interlocks.{name}.value: {interlock.value:g} {unit}", NOISE_MARGIN * noise.get(name, 0.0)
+        if interlock.value >= most:
+            raise AbraceError(f"{key}, expected less than {most:g} {unit}, {what}")
+        if interlock.value < least:
             raise AbraceError(
-                f"{key} {unit}, expected {least:.3g} {unit} or more, {NOISE_MARGIN:g} times its standard "
-                "deviation from the sensors' noise"
+                f"{key}, expected {least:.3g} {unit} or more, {NOISE_MARGIN:g} times its standard deviation from the "
+                "sensors' noise"
             )
 
 
@@ -153,29 +121,36 @@ def frequencies(rig: Rig) -> NDArray[np.float64]:
     return replace(rig.building, stiffness=stiffness).modes()[0]
 
 
-def _values(rig: Rig) -> dict[str, float]:
-    """The value of each interlock that follows from the rig's numbers."""
+def _values(rig: Rig) -> dict[str, tuple[float, float, str]]:
+    """Of each interlock with a value: that computed of the rig's numbers; the least that could never act, and why."""
     sensors, table = rig.sensors, rig.table
     capacity = max((group.actuator.capacity for group in rig.braces), default=0.0)
     stops = min((group.actuator.stroke_limit for group in rig.braces), default=np.inf)
-    displacement = 0.9 * sensors.displacement.range
+    end = sensors.displacement.range
+    displacement, most_force = 0.9 * end, capacity or np.inf
+    drift = min(YIELD_DRIFT * float(rig.storey_heights.min()), displacement)
     given = rig.interlocks.get("displacement")
+    # the first mode's velocity at the greatest displacement, plus a quarter for the other modes
+    velocity = 1.25 * float(frequencies(rig)[0]) * (given.value if given else displacement)
+    # those of a sinusoid of the table's greatest acceleration at 1 Hz, but not beyond what the table has
+    path = min(table.peak_acceleration / (2 * np.pi) ** 2, table.peak_displacement)
+    speed = min(table.peak_acceleration / (2 * np.pi), table.peak_velocity)
+    of_range = "the sensors' range"
+    stroke = min((sensors.stroke.range, of_range), (stops, "the actuators' stroke_limit"))
     return {
-        "drift": min(YIELD_DRIFT * float(rig.storey_heights.min()), displacement),
-        "displacement": displacement,
-        # the first mode's velocity at the greatest displacement, plus a quarter for the other modes
-        "velocity": 1.25 * float(frequencies(rig)[0]) * (given.value if given else displacement),
-        "stroke": 0.9 * min(sensors.stroke.range, stops),
-        "acceleration": 0.95 * sensors.acceleration.range,
+        "drift": (drift, end, "the displacement sensors' range"),
+        "displacement": (displacement, end, of_range),
+        "velocity": (velocity, end * 100, "the displacement sensors' range within 10 ms"),
+        "stroke": (0.9 * stroke[0], *stroke),
+        "acceleration": (0.95 * sensors.acceleration.range, sensors.acceleration.range, of_range),
         # a command at the capacity is not a fault: a force above it comes from the stops, or from a faulty load cell
-        "force": min(1.08 * capacity, 0.95 * sensors.force.range),
-        "force_error": 0.25 * capacity,
-        "oscillation": 0.25 * capacity,
-        # those of a sinusoid of the table's greatest acceleration at 1 Hz, but not beyond what the table has
-        "table_displacement": min(table.peak_acceleration / (2 * np.pi) ** 2, table.peak_displacement),
-        "table_velocity": min(table.peak_acceleration / (2 * np.pi), table.peak_velocity),
-        "implausible_acceleration": 0.05 * sensors.acceleration.range,
-        "implausible_stroke": 0.05 * sensors.stroke.range,
-        "noisy": 0.1,
-        "dead": 0.25,
+        "force": (min(1.08 * capacity, 0.95 * sensors.force.range), sensors.force.range, of_range),
+        "force_error": (0.25 * capacity, 2 * most_force, "twice the capacity"),
+        "oscillation": (0.25 * capacity, most_force, "the capacity"),
+        "table_displacement": (path, table.peak_displacement, "table.peak_displacement"),
+        "table_velocity": (speed, table.peak_velocity, "table.peak_velocity"),
+        "implausible_acceleration": (0.05 * sensors.acceleration.range, sensors.acceleration.range, of_range),
+        "implausible_stroke": (0.05 * sensors.stroke.range, sensors.stroke.range, of_range),
+        "noisy": (0.1, 1.0, of_range),
+        "dead": (0.25, 1.0, "the noise itself"),
     }

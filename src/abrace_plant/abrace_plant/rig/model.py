@@ -17,11 +17,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core import signals
-from abrace_core.discretization import discretize
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel
+from abrace_core import AbraceError
+from abrace_core.model import signals
+from abrace_core.model.discretization import discretize
+from abrace_core.model.linear_model import LinearModel
 from abrace_plant.rig.building import storey_direction
+from abrace_plant.rig.checks import (  # noqa: TC001, as pydantic reads the annotations
+    AngularFrequency,
+    DampingRatio,
+    Mass,
+    Share,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -89,12 +95,12 @@ class LocalMode:
         (floors,) share of the modal acceleration across the accelerometers' axis; empty: none.
     """
 
-    frequency: float
-    damping_ratio: float
-    mass: float
-    brace_share: tuple[float, ...]
-    accelerometer_share: tuple[float, ...]
-    transverse_share: tuple[float, ...] = ()
+    frequency: AngularFrequency
+    damping_ratio: DampingRatio
+    mass: Mass
+    brace_share: tuple[Share, ...]
+    accelerometer_share: tuple[Share, ...]
+    transverse_share: tuple[Share, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -104,7 +110,7 @@ class Interlock:
     Parameters
     ----------
     value
-        In the unit of `limits.UNITS`; 0 for `stuck` and `clipped`, which have none.
+        In the unit of `limits.INTERLOCKS`; 0 for `stuck` and `clipped`, which have none.
     time
         How long the value has to be exceeded before the interlock acts [s]; at least one sample.
     action
@@ -141,6 +147,8 @@ class Rig:
         Limits by name; those that are left out follow from the other numbers, see `limits.limit_table`.
     table_dynamics
         How the table follows its command; None: exactly.
+    table_driven
+        Whether abrace drives it; if not, its own controller does, and abrace commands the braces alone.
     """
 
     name: str
@@ -153,6 +161,7 @@ class Rig:
     storey_height: float = 3.0
     interlocks: Mapping[str, Interlock] = field(default_factory=dict)
     table_dynamics: TableDynamics | None = None
+    table_driven: bool = True
 
     def __repr__(self) -> str:
         braces = " + ".join(str(count) for count in self.braces_in_group) or "no"

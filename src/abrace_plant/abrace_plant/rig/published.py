@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from abrace_core.response import PAPER_RIG
+from abrace_core.model.response import PAPER_RIG
 
 RIG = PAPER_RIG
 """Name of the rig file that describes it."""

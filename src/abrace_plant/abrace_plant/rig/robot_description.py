@@ -34,8 +34,8 @@ def joint_names(rig: Rig) -> tuple[str, ...]:
 def urdf(rig: Rig) -> str:
     """The rig as URDF.
 
-    The links are `table` (the root, at its top; without inertia, as tools want a root) and `floor_1_link`,
-    `floor_2_link`, ...; the joints are those of `joint_names`, limited to the range of the displacement sensors.
+    The links are `table` (the root, at its top) and `floor_1_link`, `floor_2_link`, ...; the joints are those of
+    `joint_names`, limited to the range of the displacement sensors.
 
     Parameters
     ----------
@@ -55,7 +55,6 @@ def urdf(rig: Rig) -> str:
     limit = {"lower": f"{-reach:g}", "upper": f"{reach:g}", "effort": "0", "velocity": f"{reach * frequencies[-1]:g}"}
     for i, name in enumerate(joint_names(rig)):
         link = ElementTree.SubElement(robot, "link", name=f"{name}_link")
-        _inertia(link, float(rig.building.masses[i]))
         _box(link, PLATE, 0.0, FLOOR_COLOUR)
         joint = ElementTree.SubElement(robot, "joint", name=name, type="prismatic")
         ElementTree.SubElement(joint, "parent", link="table")
@@ -76,12 +75,3 @@ def _box(link: ElementTree.Element, size: tuple[float, float, float], height: fl
     # a name of its own: parsers refuse one material defined twice
     material = ElementTree.SubElement(visual, "material", name=f"{link.get('name')}_colour")
     ElementTree.SubElement(material, "color", rgba=colour)
-
-
-def _inertia(link: ElementTree.Element, mass: float) -> None:
-    """Give a link the mass [kg] and the moments of inertia of its plate."""
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "mass", value=f"{mass:g}")
-    squares = [edge**2 for edge in PLATE]
-    moments = {f"i{axis}{axis}": f"{mass / 12 * (sum(squares) - squares[k]):g}" for k, axis in enumerate("xyz")}
-    ElementTree.SubElement(inertial, "inertia", {**moments, "ixy": "0", "ixz": "0", "iyz": "0"})

@@ -66,9 +66,8 @@ def filter_responses(rig: Rig, span: float) -> NDArray[np.float64]:
     the begin, of the signal's change until the end (for the output, of the signal at the end). `order` is the greatest
     of all channels; where it is 0 there are no channels.
     """
-    of, floors, groups = rig.sensors, rig.floors, rig.groups
-    sensors = [of.displacement] * floors + [of.stroke] * groups + [of.acceleration] * floors + [of.force] * groups
-    systems = [low_pass(sections(sensor, of.anti_alias)) for sensor in (*sensors, of.ground_acceleration)]
+    sensors = rig.sensors.channels(rig.floors, rig.groups, rig.groups)
+    systems = [low_pass(sections(sensor, rig.sensors.anti_alias)) for sensor in sensors]
     most = max(len(b) for _, b in systems)
     responses = np.zeros((len(systems) if most else 0, most + 1, most + 2))
     for response, (a, b) in zip(responses, systems, strict=False):

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+import pydantic
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
+from abrace_plant.rig.checks import Hertz  # noqa: TC001, as pydantic reads the annotations
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,6 +64,39 @@ class Sensor:
         return self.range - self.step
 
 
+TRUE = b"\1"
+
+
+class OverRange:
+    """Finds the readings that are the first or the last of their converters: the true value is there or beyond.
+
+    Parameters
+    ----------
+    channels
+        One sensor a channel.
+
+    Attributes
+    ----------
+    lowest, highest
+        (channels,) a reading below or above these is at the end of its channel's range.
+    """
+
+    def __init__(self, channels: Sequence[Sensor]) -> None:
+        self.highest = np.array([sensor.highest - sensor.step / 2 for sensor in channels])
+        self.lowest = np.array([-sensor.range + sensor.step / 2 for sensor in channels])
+        self._above = np.zeros(len(channels), dtype=np.bool_)
+        self._below = self._above.copy()
+
+    def check(self, reading: NDArray[np.float64]) -> int:
+        """The channels of a `reading` (channels,) that are at the end of their range, as bits: bit i for channel i."""
+        np.greater(reading, self.highest, out=self._above)
+        np.less(reading, self.lowest, out=self._below)
+        np.logical_or(self._above, self._below, out=self._above)
+        if TRUE not in self._above.tobytes():  # quicker than any() by half a microsecond
+            return 0
+        return sum(1 << i for i in np.flatnonzero(self._above).tolist())
+
+
 @dataclass(frozen=True)
 class AntiAlias:
     """A Butterworth low-pass in front of every converter.
@@ -74,8 +109,8 @@ class AntiAlias:
         1 or more.
     """
 
-    cutoff: float
-    order: int
+    cutoff: Hertz
+    order: Annotated[int, pydantic.Field(ge=1, le=10)]
 
 
 @dataclass(frozen=True)

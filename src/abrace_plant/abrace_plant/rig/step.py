@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from abrace_core.compiled import compiled
+from abrace_core.model.compiled import compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -17,12 +17,12 @@ table that is not commanded to move.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Annotated
 
-import numpy as np
+import pydantic
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from abrace_core.files.quantity import Quantity
+from abrace_plant.rig.checks import Mass  # noqa: TC001, as pydantic reads the annotations
 
 
 @dataclass(frozen=True)
@@ -37,17 +37,6 @@ class TableDynamics:
         Of the table without payload on the oil columns of its actuators [rad/s].
     """
 
-    mass: float
-    frequency: float
-    damping_ratio: float
-
-    def acceleration_row(self, base_shear: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(states + 2,) of the table's acceleration in the rig's states, e and e'.
-
-        Parameters
-        ----------
-        base_shear
-            (states,) of the sum of mass times absolute acceleration of the floors [N].
-        """
-        own = [-(self.frequency**2), -2 * self.damping_ratio * self.frequency]
-        return np.concatenate([-base_shear / self.mass, own])
+    mass: Mass
+    frequency: Annotated[float, pydantic.Field(ge=20, le=1000), Quantity("rad/s")]
+    damping_ratio: Annotated[float, pydantic.Field(ge=0.005, lt=2), Quantity("1")]

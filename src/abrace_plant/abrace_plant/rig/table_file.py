@@ -7,34 +7,35 @@ from typing import TYPE_CHECKING, Annotated
 
 import pydantic
 
-from abrace_core.config_file import Checked, read_config
+from abrace_core.files.config_file import Checked, read_config
+from abrace_core.files.quantity import Quantity
 from abrace_core.safety.table_stop import Table
-from abrace_plant.rig.checks import Positive
+from abrace_plant.rig.checks import Positive, SampleRate
+from abrace_plant.rig.table_dynamics import TableDynamics
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-class TableDynamicsContent(Checked):
-    """The key `table.dynamics` of a rig file."""
-
-    mass: Positive
-    frequency: Positive
-    damping_ratio: Annotated[float, pydantic.Field(gt=0, lt=2)]
+NOT_DRIVEN = (
+    "the table is driven by its own controller (table.driven: false in the rig file): start the motion there, "
+    "abrace triggers nothing"
+)
 
 
 class TableContent(Checked):
     """The key `table` of a rig file."""
 
-    peak_acceleration: Positive
-    peak_jerk: Positive
-    peak_velocity: Positive
-    peak_displacement: Positive
-    dynamics: TableDynamicsContent | None = None
+    peak_acceleration: Annotated[float, pydantic.Field(ge=1, le=100), Quantity("m/s^2")]
+    peak_jerk: Annotated[Positive, Quantity("m/s^3")]
+    peak_velocity: Annotated[float, pydantic.Field(ge=0.03, le=10), Quantity("m/s")]
+    peak_displacement: Annotated[Positive, Quantity("m")]
+    dynamics: TableDynamics | None = None
+    driven: bool = True
 
     def table(self) -> Table:
         """The table's limits."""
-        return Table(**self.model_dump(exclude={"dynamics"}))
+        return Table(**self.model_dump(exclude={"dynamics", "driven"}))
 
 
 class TableOfRig(Checked):
@@ -43,7 +44,7 @@ class TableOfRig(Checked):
     model_config = pydantic.ConfigDict(extra="ignore")
 
     name: str
-    sample_rate: Positive
+    sample_rate: SampleRate
     table: TableContent
 
 

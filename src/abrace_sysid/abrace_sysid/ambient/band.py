@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import signal
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 LOWEST, HIGHEST = 0.3, 20.0
 """Ends of the band, divided by the slowest resonance. The first three modes of a cantilever are at 1, 6.3, 17.5."""
 
-SHOWN = 0.4
+HIGHEST_OF_RATE = 0.4
 """Greatest frequency of the band, divided by the sample rate: filters of the sensors act above."""
 
 SEGMENTS = 16
@@ -72,11 +72,11 @@ def band_of(source: str, records: Sequence[NDArray[np.float64]], rate: float) ->
     segment = max(len(record) for record in records) // SEGMENTS
     frequency, value = mode_spectrum([record / size for record in records], rate, segment)[1:].T
     peaks, _ = signal.find_peaks(10 * np.log10(value), prominence=STANDS_OUT)
-    peaks = peaks[frequency[peaks] < SHOWN * rate]
+    peaks = peaks[frequency[peaks] < HIGHEST_OF_RATE * rate]
     if not len(peaks):
         raise AbraceError(
             f"{source}: no resonance stands out of the spectrum by {STANDS_OUT:g} dB: give the band, or use a longer "
             "record or more sensitive sensors"
         )
     slowest = float(frequency[peaks[0]])
-    return LOWEST * slowest, min(HIGHEST * slowest, SHOWN * rate)
+    return LOWEST * slowest, min(HIGHEST * slowest, HIGHEST_OF_RATE * rate)

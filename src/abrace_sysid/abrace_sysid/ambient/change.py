@@ -8,17 +8,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import stats
-from scipy.optimize import linear_sum_assignment
 
-from abrace_core.errors import AbraceError
-from abrace_sysid.fitting.stabilization import modal_assurance
+from abrace_core import AbraceError
+from abrace_core.model.modes import match_modes, modal_assurance
+from abrace_core.model.verdict import judged
+from abrace_sysid.ambient.modes import ambient_test
 
 if TYPE_CHECKING:
-    from abrace_sysid.ambient.modes import AmbientMode, AmbientTest
+    from collections.abc import Sequence
 
-NEAR, ALIKE = 0.2, 0.6
-"""Modes of two tests are matched if their frequencies differ by less than NEAR (relative) and their modal assurance
-criterion is above ALIKE."""
+    from abrace_sysid.ambient.modes import AmbientMode, AmbientOptions, AmbientTest
+    from abrace_sysid.recorded.test import Test
+
+
+SAME_FREQUENCY, SAME_SHAPE = 0.2, 0.6
+"""Modes of two tests are matched if their frequencies differ by less than SAME_FREQUENCY (relative) and their modal
+assurance criterion is above SAME_SHAPE."""
 SIGNIFICANCE = 0.01
 """Probability of a false alarm over all modes of an unchanged building."""
 
@@ -29,8 +34,6 @@ class ModeChange:
 
     Parameters
     ----------
-    before, after
-        The mode in each test.
     assurance
         Modal assurance criterion of the two shapes.
     probability
@@ -71,8 +74,15 @@ class BuildingChange:
 
     @property
     def changed(self) -> tuple[ModeChange, ...]:
-        """The modes that have changed significantly (Bonferroni correction for their number)."""
-        return tuple(mode for mode in self.modes if mode.probability < SIGNIFICANCE / len(self.modes))
+        """The modes that have changed significantly (Bonferroni correction for their number), or may have: NaN."""
+        return tuple(mode for mode in self.modes if judged(-mode.probability, -SIGNIFICANCE / len(self.modes)))
+
+    @property
+    def words(self) -> str:
+        """What the comparison says of the building."""
+        if not self.modes:
+            return "no mode is in both tests: nothing can be said of the building"
+        return "the building has changed" if self.changed else "no change beyond chance"
 
 
 def compare_tests(before: AmbientTest, after: AmbientTest) -> BuildingChange:
@@ -107,13 +117,9 @@ def compare_tests(before: AmbientTest, after: AmbientTest) -> BuildingChange:
 def _matched(before: AmbientTest, after: AmbientTest) -> list[tuple[int, int]]:
     if not before.modes or not after.modes:
         return []
-    shapes = [np.array([mode.shape for mode in test.modes]) for test in (before, after)]
-    alike = modal_assurance(*shapes)
-    frequencies = [np.array([mode.frequency for mode in test.modes]) for test in (before, after)]
-    apart = np.abs(frequencies[1] / frequencies[0][:, None] - 1)
-    cost = np.where((apart < NEAR) & (alike > ALIKE), 1 - alike + apart / NEAR, 1e6)
-    rows, columns = linear_sum_assignment(cost)
-    return [(i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if cost[i, j] < 1e6]
+    alike = modal_assurance(*(np.array([mode.shape for mode in test.modes]) for test in (before, after)))
+    first, second = ([mode.frequency for mode in test.modes] for test in (before, after))
+    return match_modes(first, second, alike, SAME_SHAPE, SAME_FREQUENCY)
 
 
 def _change(before: AmbientMode, after: AmbientMode, freedom: int) -> ModeChange:
@@ -122,3 +128,21 @@ def _change(before: AmbientMode, after: AmbientMode, freedom: int) -> ModeChange
     probability = float(stats.f.sf(squared * (freedom - 1) / (2 * freedom), 2, freedom - 1))
     assurance = float(modal_assurance(before.shape[None], after.shape[None])[0, 0])
     return ModeChange(before, after, assurance, probability)
+
+
+def compared_tests(
+    tests: Sequence[Test], before: Sequence[Test], options: AmbientOptions
+) -> tuple[AmbientTest, AmbientTest, BuildingChange]:
+    """A later and an earlier test, both in the band of the earlier one, and what has changed between them.
+
+    Parameters
+    ----------
+    tests, before
+        The later and the earlier tests, as for `ambient_test`.
+    options
+        Channels, band and highest order.
+    """
+    earlier = ambient_test(before, options)
+    # in one band, or a difference could be that of the bands
+    later = ambient_test(tests, options.model_copy(update={"band": earlier.band}))
+    return later, earlier, compare_tests(earlier, later)

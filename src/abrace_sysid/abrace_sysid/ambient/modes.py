@@ -5,21 +5,27 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
+from pydantic import Field
 from scipy import signal
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
+from abrace_core.files.options import NOT_GIVEN, Band, Names
+from abrace_core.model import signals
+from abrace_core.model.modes import modal_assurance
 from abrace_sysid.ambient.band import band_of, mode_spectrum
 from abrace_sysid.ambient.subspace import OutputCovariances, SubspaceModes
 from abrace_sysid.fitting.pole_estimate import PoleInterval
-from abrace_sysid.fitting.stabilization import modal_assurance
+from abrace_sysid.recorded.test import TableOptions, given_tests, of_one_rig
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
+
+    from abrace_sysid.recorded.test import Test
 
 OVERSAMPLING = 2.56
 """Least sample rate after decimation, as a multiple of the band's upper end."""
@@ -75,8 +81,6 @@ class AmbientTest:
     ----------
     source
         Origin of the records.
-    channels
-        Names of the channels.
     band
         In which modes were searched [Hz].
     modes
@@ -102,13 +106,81 @@ class AmbientTest:
     spectrum: NDArray[np.float64]
 
 
+class AmbientOptions(TableOptions):
+    """Options of an identification from ambient tests."""
+
+    who: ClassVar[str] = "ambient test"
+
+    channels: Names = Field(
+        default=(), description="outputs to use, as a1; none: all accelerations, of a table all columns"
+    )
+    band: Band = Field(
+        default=NOT_GIVEN,
+        description="Hz, lowest and highest frequency of modes; 0, 0: 0.3 to 20 times the slowest resonance, that of "
+        "`before` where it is given",
+    )
+    highest_order: Annotated[int, Field(ge=4, le=200)] = Field(
+        default=40, description="greatest number of poles that is tried"
+    )
+
+    def read(self, given: Any) -> tuple[Test, ...]:
+        """The tests `given`: bags, Runs, Tests, and tables: files, arrays by name, DataFrames."""
+        table = {"inputs": None, "outputs": self.channels, "sample_rate": self.sample_rate, "time": self.time}
+        return given_tests(given, table)
+
+    def require_possible(self, names: Sequence[str], sample_rate: float) -> None:
+        """Check that tests with these channels `names`, sampled at `sample_rate` [Hz], can be used with these options.
+
+        Raises
+        ------
+        AbraceError
+            If not.
+        """
+        low, high = self.band
+        if self.band != NOT_GIVEN and not 0 < low < high <= sample_rate / 2:
+            raise AbraceError(
+                f"ambient test: band {low:g} to {high:g} Hz, expected within 0 to {sample_rate / 2:g} Hz, the lower "
+                "above 0"
+            )
+        chosen = signals.positions(self.channels, names, "ambient test: no channel")
+        if len(set(chosen)) < len(self.channels):
+            raise AbraceError(f"ambient test: channels {', '.join(self.channels)}, expected each channel once")
+
+
+def ambient_test(tests: Sequence[Test], options: AmbientOptions) -> AmbientTest:
+    """Modes from recorded tests without commands.
+
+    Parameters
+    ----------
+    tests
+        Tests of one rig.
+    options
+        Channels, band and highest order.
+
+    Raises
+    ------
+    AbraceError
+        If a command is not zero, the rigs differ, or as in `ambient_modes`.
+    """
+    first = tests[0]
+    names = options.channels or tuple(name for name in first.names if name[0] == "a" or not first.floors)
+    options.require_possible((*first.names, signals.GROUND), 1 / first.sample_period)
+    for test in of_one_rig(tests):
+        for command in test.moving:
+            greatest = float(np.abs(test.channel(command)).max())
+            raise AbraceError(
+                f"{test.source}: {command} up to {greatest:g} N, expected 0: an ambient test is without commands"
+            )
+    source, records = ", ".join(dict.fromkeys(test.source for test in tests)), [test.channels(names) for test in tests]
+    return ambient_modes(source, records, names, 1 / first.sample_period, options)
+
+
 def ambient_modes(
     source: str,
     records: Sequence[NDArray[np.float64]],
     channels: Sequence[str],
     sample_rate: float,
-    band: tuple[float, float] | None = None,
-    highest_order: int = 40,
+    options: AmbientOptions | None = None,
 ) -> AmbientTest:
     """Modes of a structure from its responses to an excitation that was not measured.
 
@@ -118,14 +190,10 @@ def ambient_modes(
         Origin of the records, for messages.
     records
         Each (samples, channels), any units.
-    channels
-        Names of the channels.
     sample_rate
         [Hz].
-    band
-        Lowest and highest frequency of modes [Hz]; None: around the slowest resonance, as `band_of` finds it.
-    highest_order
-        Greatest model order (number of poles).
+    options
+        Of these the band and the highest order are used; by default those of `AmbientOptions`.
 
     Raises
     ------
@@ -133,17 +201,16 @@ def ambient_modes(
         If the band is not within 0 to half the sample rate, a value is not finite, a channel never changes, the records
         are too short, or no band is given and no resonance found.
     """
-    if band is not None and not 0 < band[0] < band[1] <= sample_rate / 2:
-        raise AbraceError(
-            f"band {band[0]:g} to {band[1]:g} Hz, expected within 0 to {sample_rate / 2:g} Hz, the lower above 0"
-        )
+    options = options or AmbientOptions()
+    options.require_possible(channels, sample_rate)
+    band, highest_order = options.band, options.highest_order
     for record in records:
         for name, column in zip(channels, record.T, strict=True):
             if not np.isfinite(column).all():
                 raise AbraceError(f"{source}: channel {name} has values that are not finite")
             if not np.ptp(column):
                 raise AbraceError(f"{source}: channel {name} never changes from {column[0]:g}")
-    low, high = band = band or band_of(source, records, sample_rate)
+    low, high = band = band_of(source, records, sample_rate) if band == NOT_GIVEN else band
     factor = max(1, math.floor(sample_rate / (OVERSAMPLING * high)))
     rate = sample_rate / factor
     prepared = [_prepared(record, sample_rate, factor, low) for record in records]

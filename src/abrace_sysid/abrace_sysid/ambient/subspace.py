@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,8 +33,6 @@ class SubspaceModes:
 
     Parameters
     ----------
-    order
-        Number of poles.
     frequency, damping
         (modes,) modulus [rad/s] and damping ratio.
     covariance
@@ -100,11 +98,6 @@ class OutputCovariances:
         rows, columns = np.arange(self.lags + 1)[:, None], np.arange(self.lags)
         blocks = covariances[np.minimum(rows + columns, 2 * self.lags - 1)]
         return np.asarray(blocks.swapaxes(1, 2).reshape((self.lags + 1) * self.channels, self.lags * self.channels))
-
-    @property
-    def singular_values(self) -> NDArray[np.float64]:
-        """Singular values of the Hankel matrix, greatest first."""
-        return self._singular
 
     def modes(self, orders: Sequence[int], sample_period: float) -> list[SubspaceModes]:
         """The oscillating poles of each of the `orders`; `sample_period` [s] is that of the records."""

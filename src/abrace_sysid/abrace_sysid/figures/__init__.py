@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Matplotlib figures of identifications and validations; `abrace_core.drawing` has the colours and saves figures."""
+"""Figures of identifications and validations; `abrace_core.figures.drawing` has the colours and saves figures."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of ambient tests: stabilisation diagram with intervals, and changes of modes between two tests."""
+"""The figure of an ambient test: its stabilisation diagram, with intervals."""
 
 from __future__ import annotations
 
@@ -8,16 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, legend_above
+from abrace_core.figures.drawing import MEASURED, REFERENCE, SIMULATED, legend_above
 from abrace_sysid.fitting.pole_estimate import NORMAL_95
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from abrace_sysid.ambient.change import BuildingChange
     from abrace_sysid.ambient.modes import AmbientTest
 
-SHOWN = 0.02
+SHOWN_DEVIATION = 0.02
 """A pole is drawn if its frequency's relative standard deviation is below this."""
 
 
@@ -32,7 +29,7 @@ def ambient_stabilization(test: AmbientTest) -> Figure:
     axis.patch.set_visible(False)
     for k, found in enumerate(test.candidates):
         deviation = np.sqrt(found.covariance[:, 0, 0])
-        shown = (deviation < SHOWN * found.frequency) & (found.damping > 0)
+        shown = (deviation < SHOWN_DEVIATION * found.frequency) & (found.damping > 0)
         axis.errorbar(
             found.frequency[shown] / (2 * np.pi),
             np.full(int(shown.sum()), found.order),
@@ -51,32 +48,4 @@ def ambient_stabilization(test: AmbientTest) -> Figure:
     axis.set_xlabel("frequency [Hz]")
     axis.set_ylabel("number of poles")
     legend_above(figure, axis, 2)
-    return figure
-
-
-def building_change(change: BuildingChange) -> Figure:
-    """Relative change of each mode's frequency and damping ratio with 95 % intervals."""
-    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    rows = range(len(change.modes))
-    frequency = [mode.frequency_change for mode in change.modes]
-    damping = [mode.damping_change for mode in change.modes]
-    deviations = [np.sqrt(np.diag(mode.before.covariance + mode.after.covariance)) for mode in change.modes]
-    frequency_error = [d[0] / mode.before.frequency for d, mode in zip(deviations, change.modes, strict=True)]
-    damping_error = [d[1] / mode.before.damping for d, mode in zip(deviations, change.modes, strict=True)]
-    changed = {id(mode) for mode in change.changed}
-    panels: tuple[tuple[str, Sequence[float], Sequence[float]], ...] = (
-        ("frequency", frequency, frequency_error),
-        ("damping ratio", damping, damping_error),
-    )
-    for axis, (name, values, errors) in zip((left, right), panels, strict=True):
-        axis.axvline(0, color="k", lw=0.6)
-        for row, value, error, mode in zip(rows, values, errors, change.modes, strict=True):
-            colour = SIMULATED if id(mode) in changed else MEASURED
-            axis.errorbar(100 * value, row, xerr=100 * NORMAL_95 * error, fmt="o", color=colour, capsize=3)
-        axis.set_yticks(list(rows), [f"{mode.before.frequency / (2 * np.pi):.3g} Hz" for mode in change.modes])
-        axis.set_ylim(len(change.modes) - 0.5, -0.5)
-        axis.set_xlabel(f"change of {name} [%]")
-        axis.grid(alpha=0.3)
-    left.set_title("changed" if changed else "no change beyond chance", loc="left", fontsize="medium")
     return figure

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, captioned, legend_above
-from abrace_core.linear_model import pole_table
-from abrace_sysid.fitting.pole_estimate import NORMAL_95
+from abrace_core.figures.drawing import MEASURED, REFERENCE, SIMULATED, captioned, legend_above
+from abrace_core.model.linear_model import pole_table
+from abrace_core.model.modes import match_modes
+from abrace_sysid.fitting.pole_estimate import NORMAL_95, TESTS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -28,8 +29,6 @@ REFERENCES: tuple[dict[str, Any], ...] = (
     {"marker": "o", "color": REFERENCE, "mfc": "none"},
     {"marker": "s", "color": REFERENCE, "mfc": "none"},
 )
-SAME = 0.1
-"""Two pairs are the same mode if their frequencies differ by at most this share."""
 SPREAD = 0.6
 """Share of a row's height over which the markers of the sets are spread, so that they do not overlap."""
 
@@ -58,11 +57,12 @@ def confidence(sets: Mapping[str, Sequence[PoleInterval]]) -> Figure:
     Parameters
     ----------
     sets
-        Pole pairs of each test, lowest frequency first; differences are taken from the last set.
+        Pole pairs of each test, by a key of `TESTS` or another name, lowest frequency first; differences are taken
+        from the last set.
     """
     drawn = [
         (
-            name,
+            TESTS.get(name, name),
             [(pair.frequency, pair.damping, pair.frequency_deviation, pair.damping_deviation) for pair in pairs],
             STYLES[i % 3],
         )
@@ -81,7 +81,7 @@ def _rows(sets: Sequence[tuple[str, Sequence[Pair], dict[str, Any]]], zero: str,
     figure = Figure(figsize=(9.0, 1.4 + 0.55 * len(centres)), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
     for axis, quantity, title in zip(axes, (0, 1), ("frequency", "damping ratio"), strict=True):
-        found = [[_difference(centre, pairs, quantity) for centre in centres] for _, pairs, _ in sets]
+        found = [_differences(centres, pairs, quantity) for _, pairs, _ in sets]
         largest = np.nanmax([[0.0, *(np.abs(x) + error for x, error in rows)] for rows in found])
         factor, unit = (100.0, "%") if largest > 5e-4 else (1e6, "ppm")
         for number, ((name, _, style), rows) in enumerate(zip(sets, found, strict=True)):
@@ -105,10 +105,13 @@ def _rows(sets: Sequence[tuple[str, Sequence[Pair], dict[str, Any]]], zero: str,
     return figure
 
 
-def _difference(centre: Pair, pairs: Sequence[Pair], quantity: int) -> tuple[float, float]:
-    """Relative difference of the pair of the same mode as `centre`, and half its 95 % interval; NaN if none is."""
-    nearest = min(pairs, key=lambda pair: abs(pair[0] - centre[0]), default=None)
-    if nearest is None or abs(nearest[0] - centre[0]) > SAME * centre[0]:
-        return float("nan"), 0.0
-    size = centre[quantity]
-    return nearest[quantity] / size - 1, NORMAL_95 * nearest[quantity + 2] / abs(size)
+def _differences(centres: Sequence[Pair], pairs: Sequence[Pair], quantity: int) -> list[tuple[float, float]]:
+    """Relative difference of the pair of the same mode as each centre, and half its 95 % interval; NaN if none is."""
+    same = dict(match_modes([centre[0] for centre in centres], [pair[0] for pair in pairs]))
+    found = []
+    for i, centre in enumerate(centres):
+        size, pair = centre[quantity], pairs[same[i]] if i in same else None
+        found.append(
+            (np.nan, 0.0) if pair is None else (pair[quantity] / size - 1, NORMAL_95 * pair[quantity + 2] / abs(size))
+        )
+    return found

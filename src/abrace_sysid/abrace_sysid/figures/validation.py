@@ -3,21 +3,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from matplotlib.figure import Figure
-
-from abrace_core.drawing import ERROR, MEASURED, REFERENCE, SIMULATED, captioned, last_motion, legend_above
-from abrace_core.errors import AbraceError
-from abrace_core.response import UnitSystem, shown_unit
-from abrace_sysid.figures.symbols import symbol
+from abrace_core import AbraceError
+from abrace_core.figures.chart import Chart, Curve, Panel, below_each_other
+from abrace_core.figures.drawing import ERROR, MEASURED, REFERENCE, SIMULATED, last_motion
+from abrace_core.model.response import UnitSystem, shown_unit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from matplotlib.axes import Axes
-
-    from abrace_core.run import Run
+    from abrace_core.model.run import Run
     from abrace_sysid.validation import Comparison
 
 
@@ -27,7 +24,7 @@ def time_histories(
     zoom: tuple[float, float] | None = None,
     units: UnitSystem = "paper",
     tested: str = "",
-) -> Figure:
+) -> Chart:
     """Measured and simulated responses and their difference, until the building is at rest: Fig. 6.
 
     Parameters
@@ -49,34 +46,43 @@ def time_histories(
             f"figure of {comparison.source}: no channel {', '.join(missing)}, expected any of "
             f"{', '.join(comparison.names)}"
         )
-    columns = 1 if zoom is None else 2
-    figure = Figure(figsize=(7.0 * columns, 3.2 * len(channels)), layout="constrained")
-    rows = 2 * len(channels)
-    axes = figure.subplots(rows, columns, squeeze=False, sharex="col", height_ratios=[3, 1] * len(channels))
-    for i, name in enumerate(channels):
+    drawn = [comparison.measured[:, comparison.names.index(name)] for name in channels]
+    spans = [(float(comparison.time[0]), last_motion(comparison.time, *drawn)), *([zoom] if zoom else [])]
+    columns = [_column(comparison, channels, span, units) for span in spans]
+    under = f" under {tested}" if tested else ""
+    caption = (
+        f"{' and '.join(channels)}{under}: measured, simulated by the identified model, and simulated minus measured."
+    )
+    size = (max(8.0, 7.0 * len(columns)), 3.2 * len(channels))
+    return Chart(tuple(zip(*columns, strict=True)), size, caption, (3.0, 1.0) * len(channels))
+
+
+def _column(
+    comparison: Comparison, channels: Sequence[str], span: tuple[float, float], units: UnitSystem
+) -> list[Panel]:
+    """Of each channel its histories and their difference, within a `span` of time [s]."""
+    shown = (comparison.time >= span[0]) & (comparison.time <= span[1])
+    time, panels = comparison.time[shown], []
+    for name in channels:
         factor, unit = shown_unit(name, units)
         j = comparison.names.index(name)
-        for above, below in zip(axes[2 * i], axes[2 * i + 1], strict=True):
-            _history(above, below, comparison, j, factor)
-        axes[2 * i, 0].set_ylabel(f"{symbol(name)} [{unit}]")
-        axes[2 * i + 1, 0].set_ylabel(f"error [{unit}]")
-    legend_above(figure, axes[0, 0], 2)
-    drawn = [comparison.measured[:, comparison.names.index(name)] for name in channels]
-    axes[0, 0].set_xlim(comparison.time[0], last_motion(comparison.time, *drawn))
-    if zoom is not None:
-        axes[0, 1].set_xlim(*zoom)
-        axes[0, 1].set_title(f"{zoom[0]:g} to {zoom[1]:g} s", fontsize="medium")
-    for axis in axes[-1]:
-        axis.set_xlabel("time [s]")
-    named = " and ".join(channels)
-    under = f" under {tested}" if tested else ""
-    caption = f"{named}{under}: measured, simulated by the identified model, and simulated minus measured."
-    return captioned(figure, caption)
+        measured, simulated = factor * comparison.measured[shown, j], factor * comparison.simulated[shown, j]
+        histories = (
+            Curve(time, measured, "measured", MEASURED, 1.6),
+            Curve(time, simulated, "simulated", SIMULATED, 1.0, "--"),
+        )
+        error = (Curve(time, simulated - measured, "simulated minus measured", ERROR, 0.6),)
+        panels += [
+            Panel(histories, y_label=f"{name} [{unit}]", x_limits=span),
+            Panel(error, x_label="time [s]" if name == channels[-1] else "", y_label=f"error [{unit}]", x_limits=span),
+        ]
+    panels[0] = replace(panels[0], title=f"{span[0]:g} to {span[1]:.4g} s")
+    return panels
 
 
 def control_effect(
     uncontrolled: Run, controlled: Run, channels: Sequence[str], units: UnitSystem = "paper", tested: str = ""
-) -> Figure:
+) -> Chart:
     """The same test measured without and with control, until the building is at rest.
 
     Parameters
@@ -90,26 +96,18 @@ def control_effect(
     tested
         Record and controller, for the caption.
     """
-    figure = Figure(figsize=(7.0, 2.6 * len(channels)), layout="constrained")
-    axes = figure.subplots(len(channels), 1, squeeze=False, sharex=True)[:, 0]
-    for axis, name in zip(axes, channels, strict=True):
-        factor, unit = shown_unit(name, units)
-        for run, label, colour in ((uncontrolled, "uncontrolled", REFERENCE), (controlled, "controlled", MEASURED)):
-            axis.plot(run.time, factor * run.channels([name])[:, 0], color=colour, lw=1.0, label=label)
-        axis.set_ylabel(f"{symbol(name)} [{unit}]")
-        axis.grid(alpha=0.3)
-    axes[0].legend(loc="upper right", ncols=2)
     ends = [last_motion(run.time, *run.channels(channels).T) for run in (uncontrolled, controlled)]
-    axes[-1].set_xlim(controlled.time[0], max(ends))
-    axes[-1].set_xlabel("time [s]")
-    named = " and ".join(channels)
-    return captioned(figure, f"{named}{f' under {tested}' if tested else ''}, measured without and with control.")
-
-
-def _history(above: Axes, below: Axes, comparison: Comparison, j: int, factor: float) -> None:
-    measured, simulated = factor * comparison.measured[:, j], factor * comparison.simulated[:, j]
-    above.plot(comparison.time, measured, color=MEASURED, lw=1.6, label="measured")
-    above.plot(comparison.time, simulated, color=SIMULATED, lw=1.0, ls="--", label="simulated")
-    below.plot(comparison.time, simulated - measured, color=ERROR, lw=0.6, label="simulated minus measured")
-    for axis in (above, below):
-        axis.grid(alpha=0.3)
+    span = float(controlled.time[0]), max(ends)
+    panels = []
+    for name in channels:
+        factor, unit = shown_unit(name, units)
+        curves = tuple(
+            Curve(run.time, factor * run.channels([name])[:, 0], label, colour, 1.0)
+            for run, label, colour in (
+                (uncontrolled, "without control", REFERENCE),
+                (controlled, "controlled", MEASURED),
+            )
+        )
+        panels.append(Panel(curves, y_label=f"{name} [{unit}]", x_limits=span))
+    under = f" under {tested}" if tested else ""
+    return below_each_other(panels, 2.6, f"{' and '.join(channels)}{under}, measured without and with control.")

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from abrace_core import signals
-from abrace_core.drawing import MEASURED, REFERENCE, SIMULATED, captioned, plain_ticks
-from abrace_sysid.figures.symbols import RIG, symbol
-from abrace_sysid.validity.finding import Verdict
+from abrace_core.figures.drawing import MEASURED, REFERENCE, SIMULATED, captioned, plain_ticks
+from abrace_core.model import signals
+from abrace_core.model.verdict import Verdict
+from abrace_sysid.figures.identification import RIG
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,7 +60,7 @@ def validity_figure(validity: Validity, residuals: Sequence[Residual]) -> Figure
         left, right = middle.subfigures(1, 2, width_ratios=[1.0, 1.1])
         for axis, residual in zip(right.subplots(len(shown), 1, squeeze=False)[:, 0], shown, strict=True):
             _spectra(axis, residual)
-    _bars(left.subplots(), validity.findings)
+    _bars(left.subplots(), validity.worst)
     for place, title, sentences, width in zip(
         (0.02, 0.58), ("Why", "What to do"), _words(validity), WIDTHS, strict=True
     ):
@@ -70,35 +70,11 @@ def validity_figure(validity: Validity, residuals: Sequence[Residual]) -> Figure
     return captioned(figure, "Whether the model can be trusted: each check with its limit, and the model's residual.")
 
 
-def worst_of_each(findings: Sequence[Finding]) -> list[Finding]:
-    """The worst finding of each check, in the order of the checks.
-
-    Parameters
-    ----------
-    findings
-        The findings of all checks.
-    """
-    worst: dict[str, Finding] = {}
-    for finding in findings:
-        before = worst.get(finding.check)
-        if before is None or (finding.verdict, times_limit(finding)) > (before.verdict, times_limit(before)):
-            worst[finding.check] = finding
-    return list(worst.values())
-
-
-def times_limit(finding: Finding) -> float:
-    """A finding's value over its limit, clipped to the axis; if the limit is 0, the verdict determines the length."""
-    if finding.limit <= 0:
-        return LONGEST if finding.verdict else SHORTEST
-    return float(np.clip(finding.value / finding.limit, SHORTEST, LONGEST))
-
-
-def _bars(axis: Axes, findings: Sequence[Finding]) -> None:
-    shown = worst_of_each(findings)
+def _bars(axis: Axes, shown: Sequence[Finding]) -> None:
     rows = np.arange(len(shown))
-    lengths = [times_limit(finding) for finding in shown]
+    lengths = np.clip([finding.times_limit for finding in shown], SHORTEST, LONGEST)
     left = SHORTEST / 1.5
-    axis.barh(rows, [length - left for length in lengths], left=left, color=[COLOURS[one.verdict] for one in shown])
+    axis.barh(rows, lengths - left, left=left, color=[COLOURS[one.verdict] for one in shown])
     axis.axvline(1.0, color="k", lw=1.2)
     axis.set_xscale("log")
     axis.set_xlim(left, 1.5 * LONGEST)
@@ -112,19 +88,19 @@ def _bars(axis: Axes, findings: Sequence[Finding]) -> None:
 def _spectra(axis: Axes, residual: Residual) -> None:
     """Response, residual and expected noise of the channel with the greatest residual over noise."""
     worst = int(np.argmax(residual.ratio.mean(axis=0)))
-    frequency = residual.omega / (2 * np.pi)
+    lines, frequency = residual.test, residual.test.omega / (2 * np.pi)
 
     def level(power: np.ndarray) -> np.ndarray:
         return np.sqrt(np.convolve(power, np.ones(SMOOTHED) / SMOOTHED, "same"))
 
-    axis.semilogy(frequency, level(np.abs(residual.measured[:, worst]) ** 2), color=MEASURED, lw=1.0, label="measured")
+    axis.semilogy(frequency, level(np.abs(lines.measured[:, worst]) ** 2), color=MEASURED, lw=1.0, label="measured")
     axis.semilogy(frequency, level(np.abs(residual.left[:, worst]) ** 2), color=SIMULATED, lw=1.0, label="residual")
     axis.semilogy(frequency, level(residual.noise[:, worst]), color=REFERENCE, lw=1.4, label="sensor noise")
-    axis.set_title(f"{symbol(residual.outputs[worst])}, {residual.source}", fontsize="medium", loc="left")
+    axis.set_title(f"{lines.outputs[worst]}, {lines.source}", fontsize="medium", loc="left")
     axis.set_xlabel("frequency [Hz]")
-    name, unit = residual.outputs[worst], ""
+    name, unit = lines.outputs[worst], ""
     if RIG.match(name):
-        unit = f" [{signals.unit(name)}" + ("]" if residual.excited else f" / ({signals.unit(residual.inputs[0])})]")
+        unit = f" [{signals.unit(name)}" + ("]" if lines.transient else f" / ({signals.unit(lines.inputs[0])})]")
     axis.set_ylabel(f"amplitude at a line{unit}")
     axis.set_xlim(frequency[0], frequency[-1])
     axis.grid(alpha=0.3)

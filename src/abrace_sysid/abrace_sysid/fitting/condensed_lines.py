@@ -9,14 +9,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import sparse
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
+from abrace_sysid.fitting.curve_fit import stacked, triangular_factor
 from abrace_sysid.fitting.modes import across
-from abrace_sysid.fitting.pole_basis import sides_of, whole_samples
+from abrace_sysid.fitting.pole_basis import combined, sides_of, whole_samples
 from abrace_sysid.fitting.pole_estimate import columns_of
 
 if TYPE_CHECKING:
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
 
 ROUNDING = 1e-12
 """Shares of a unit vector that are due to rounding."""
-
-INDEPENDENT = 1e-4
-"""Share of every column that the others leave unexplained, above which products of columns are as good as a QR."""
 
 
 @dataclass(frozen=True)
@@ -108,11 +106,6 @@ def condensed(observations: Sequence[Observation], inputs: Sequence[str], modes:
     Parameters
     ----------
     observations
-        The tests.
-    inputs
-        Names of all inputs.
-    modes
-        The modes at which the lines are linearised.
 
     Raises
     ------
@@ -260,48 +253,3 @@ def _lines_of(
         replace(one, columns=slice(one.columns.start + len(basis), one.columns.stop + len(basis))) for one in of_slopes
     ]
     return basis, slopes, columns, (*of_basis, *behind), [*alike[0], *(len(basis) + i for i in alike[1])]
-
-
-def combined(sides: Sequence[NDArray[np.complex128]], vector: NDArray[Any]) -> list[NDArray[np.complex128]]:
-    """Two real combinations of the responses (lines, inputs) of both `sides` of a pair, weighted by a `vector`.
-
-    A real pole has one side and one combination.
-    """
-    if len(sides) == 1:
-        return [sides[0] @ vector]
-    above, below = sides[0] @ vector, sides[1] @ vector.conj()
-    return [(above + below) / 2, (above - below) * 0.5j]
-
-
-def stacked(lines: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Complex `lines` as real numbers: the real parts above the imaginary ones; column by column in memory."""
-    half = len(lines)
-    found = np.empty((2 * half, *lines.shape[1:]), order="F")
-    found[:half], found[half:] = lines.real, lines.imag
-    return found
-
-
-def triangular_factor(rows: NDArray[np.float64], alike: Sequence[int] = ()) -> NDArray[np.float64]:
-    """R of a QR factorization of `rows`, from the products of their columns where these are well apart.
-
-    Columns that are nearly `alike`, given by rising index, are made orthogonal to each other before.
-    """
-    own, among = rows, np.zeros((0, 0))
-    if len(alike) > 1:
-        own = rows.copy(order="F")
-        own[:, alike], among = np.linalg.qr(rows[:, alike])
-    try:
-        factor = np.asarray(linalg.cholesky(own.T @ own, check_finite=False))
-    except linalg.LinAlgError:
-        return _factorized(rows)
-    if not (np.diag(factor) > INDEPENDENT * np.linalg.norm(factor, axis=0)).all():
-        return _factorized(rows)
-    if len(alike) > 1:
-        factor[:, alike] = factor[:, alike] @ among
-    return factor
-
-
-def _factorized(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """R of a QR factorization of `rows`; without the copies that np.linalg.qr makes."""
-    _, factor = linalg.qr(rows, mode="raw", check_finite=False)
-    return np.asarray(factor)

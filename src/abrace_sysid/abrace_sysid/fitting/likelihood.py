@@ -78,10 +78,9 @@ class Likelihood:
 
         Parameters
         ----------
+        inputs
         observations
             The tests.
-        inputs
-            Names of all inputs.
         modes
             The modes at which it is computed.
         near
@@ -157,8 +156,6 @@ def fit_channels(
 
     Parameters
     ----------
-    tests
-        The tests.
     parameters
         Number of parameters of the modes.
     powers

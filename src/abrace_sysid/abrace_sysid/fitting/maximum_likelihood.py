@@ -25,14 +25,13 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 from abrace_sysid.fitting.condensed_lines import direct_terms
-from abrace_sysid.fitting.covariance import covariance
-from abrace_sysid.fitting.curve_fit import require_stable
-from abrace_sysid.fitting.joint_covariance import inflation, of_entries
+from abrace_sysid.fitting.covariance import covariance, inflation, of_entries
+from abrace_sysid.fitting.curve_fit import UnstablePolesError, require_stable
 from abrace_sysid.fitting.likelihood import FASTEST, Likelihood
+from abrace_sysid.fitting.modes import modes_of, starting_modes
 from abrace_sysid.fitting.pole_estimate import PoleEstimate, columns_of
-from abrace_sysid.fitting.starting_modes import modes_of, starting_modes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -82,7 +81,7 @@ def fit_poles(
     fixed
         (poles,) whether a pole is fixed; None: none is.
     most
-        Greatest number of iterations.
+        Greatest number of iterations; 0: the poles stay, shapes and drives are fitted to them.
     spread
         Which covariance to compute: "modes", of poles and drives; "joint", also of shapes and direct terms; "none" for
         a trial: the covariance is NaN.
@@ -113,11 +112,11 @@ def fit_poles(
         [observation.in_units(dict(zip(inputs, unit, strict=True))) for observation in each]
         for each in (observations, few)
     )
-    if many and not isinstance(start, PoleEstimate):
+    if many and most and not isinstance(start, PoleEstimate):
         near, converged, _ = _climbed(few, inputs, modes, most, ROUGH)
         modes = near.modes if near is not None and converged else modes
     likelihood, converged, iterations = _climbed(observations, inputs, modes, most, INSIGNIFICANT)
-    if likelihood is None or not converged:
+    if likelihood is None or not (converged or most == 0):
         raise AbraceError(
             f"{where}: no maximum of the likelihood found in {iterations} steps from the poles {_named(poles)} rad/s; "
             "other starting poles, fewer poles or a narrower band may help"
@@ -140,7 +139,6 @@ def fit_poles(
         likelihood.cost,
         sum(observation.measured.size for observation in observations) * 2,
         size + sum(len(one.coefficients) + len(one.power) for one in likelihood.channels),
-        iterations,
         inputs,
         observations[0].outputs,
         found.drive / unit,
@@ -150,6 +148,39 @@ def fit_poles(
         inflation(likelihood, of_modes) if spread != "none" else 1.0,
         of_entries(likelihood, whole, inputs, unit) if spread == "joint" else None,
     )
+
+
+def fit_again(
+    observations: Sequence[Observation], start: PoleEstimate, spread: Literal["none", "modes", "joint"] = "modes"
+) -> PoleEstimate:
+    """As `fit_poles` with the modes of an earlier fit, without those that become unstable or are not sure: no modes.
+
+    A pair of an order search may stand for a few lines that were not linear, or noisier than others.
+
+    Parameters
+    ----------
+    observations, spread
+        As for `fit_poles`.
+    start
+        The earlier fit, of tests with the same inputs.
+
+    Raises
+    ------
+    AbraceError
+        As `fit_poles`.
+    """
+    try:
+        found = fit_poles(observations, start, spread=spread)
+    except UnstablePolesError as error:
+        kept = ~error.unstable
+        if not kept.any():
+            raise
+    else:
+        unsure = [pair.frequency for pair in found.pairs() if not pair.is_sure]
+        kept = np.array([not np.isclose(abs(pole), unsure, rtol=1e-12).any() for pole in found.poles])
+        if kept.all() or not kept.any():
+            return found
+    return fit_poles(observations, start.poles[kept], start.drive[kept] != 0, spread=spread, delays=start.delays)
 
 
 def _climbed(

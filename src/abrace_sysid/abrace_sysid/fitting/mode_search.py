@@ -1,68 +1,82 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The search for the modes of an unknown structure: one by one, each kept if it improves the prediction.
+"""The modes of an unknown structure: starting poles by subspace identification, refined by maximum likelihood.
 
-The first part of a record is fitted by maximum likelihood. The mode that lowers the cost most, in addition to those
-already found, is searched on a grid of frequencies and damping ratios and fitted together with the others. It is kept
-if the fit then predicts the rest of the record, which was not used, better (hold-out validation; Ljung 1999, sec.
-16.4). A description length would also count the residual of a nonlinear or drifting peak as modes.
+PO-MOESP (Verhaegen 1994) gives the poles of every order from one factorisation of the records. Each order's poles are
+refined (`fit_poles`); orders rise until the description length no longer falls. Where the two halves of the record
+predict each other, the order is the one up to there with which they do it best (hold-out validation; Ljung 1999, sec.
+16.4): the description length counts the residual of a nonlinear or drifting peak as modes, the prediction noise that it
+meets by chance. A sweep, an earthquake or a quiet half predicts nothing; then the description length decides.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
+from scipy import signal
 from scipy.ndimage import uniform_filter1d
 
-from abrace_core.errors import AbraceError
-from abrace_sysid.fitting.condensed_lines import combined, stacked
+from abrace_core import AbraceError
+from abrace_core.model.modes import modal_assurance
+from abrace_sysid.fitting.curve_fit import stacked
 from abrace_sysid.fitting.maximum_likelihood import ITERATIONS, fit_poles
-from abrace_sysid.fitting.pole_basis import sides_of
+from abrace_sysid.fitting.observation import Observation
+from abrace_sysid.fitting.pole_basis import combined, sides_of, transients
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from abrace_sysid.fitting.observation import Observation
     from abrace_sysid.fitting.pole_estimate import PoleEstimate
+    from abrace_sysid.recorded.test import Test
 
-DAMPING = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.03, 0.1, 0.3, 1.0)
-"""Damping ratios of the grid; 1: a real pole."""
+BLOCK_ROWS, MOST_ROWS = 40, 1800
+"""Block rows of the Hankel matrices, and rows of all of them together, at most; more give hardly other poles."""
 
-REACH = 20.0
-"""Half-width of the range of lines around a mode that show it, in its half-power half-bandwidths."""
-
-LEAST_REACH = 8
-"""Least half-width of that range, in lines."""
+COLUMNS = 5000
+"""Columns of the Hankel matrices that are factorised at a time, for long records."""
 
 ABOVE, ABOVE_DAMPING = 1.4, 0.01
 """Frequency, divided by the band's upper edge, and damping ratio of the pairs that represent the modes above it."""
 
-REFUSALS = 12
-"""Number of refused candidates in a row that ends the search."""
+IN_VAIN = 4
+"""Orders in a row that cannot be fitted, or have no shorter description, end the search after so many."""
 
-NARROWEST = 0.5
-"""Least half-power bandwidth of a mode, in lines: a narrower peak is not resolved."""
+LINES_OF_A_MODE = 20
+"""Lines that there must be for each mode."""
 
-ALIKE = 0.5
-"""Greatest distance between a mode's poles from both parts, divided by the sum of their decay rates."""
+NARROWEST, SAME_SHAPE = 0.05, 0.8
+"""Least decay rate of a mode, in lines; and the modal assurance from which overlapping modes are one."""
+
+LEFT_ORDER = 8
+"""Order of the subspace of what the best order leaves."""
 
 HEAVIEST = 0.9
 """Greatest damping ratio: beyond it a pair can hardly be distinguished from two real poles."""
 
-TRIAL_ITERATIONS = 30
-"""Most steps of a fit with a candidate: a true mode takes about ten."""
+HEAVY = 0.3
+"""Poles damped more than this are left out where the fit with them fails."""
 
-NEAR = 0.01
-"""Candidates nearer to a refused one than this share of the frequency are not tried."""
+TRIAL_ITERATIONS = 30
+"""Most steps of the fit of an order: a true mode takes about ten."""
 
 NEIGHBOURS = 9
 """Lines over which the level of the residual is averaged."""
 
 
+def residual_poles(observation: Observation) -> NDArray[np.complex128]:
+    """The fixed poles [rad/s] that represent modes above the band of an `observation`, one for each input."""
+    sampling = observation.samplings[0]
+    highest = float(np.angle(observation.z[-1])) / sampling.sample_period
+    # a held input says nothing of poles beyond half the sample rate
+    above_it = sampling.hold == "band" or ABOVE * highest * sampling.sample_period < np.pi
+    return np.full(len(observation.inputs) if above_it else 0, ABOVE * highest * complex(-ABOVE_DAMPING, 1))
+
+
 def fit_with_residual_terms(
-    observation: Observation,
+    observations: Sequence[Observation],
     poles: NDArray[np.complex128],
     iterations: int = ITERATIONS,
     spread: Literal["none", "modes"] = "modes",
@@ -71,8 +85,8 @@ def fit_with_residual_terms(
 
     Parameters
     ----------
-    observation
-        The test.
+    observations
+        The records.
     poles
         Starting poles [rad/s].
     iterations
@@ -80,67 +94,187 @@ def fit_with_residual_terms(
     spread
         As for `fit_poles`.
     """
-    count = len(observation.inputs)
-    highest = float(np.angle(observation.z[-1])) / observation.samplings[0].sample_period
-    above = np.full(count, ABOVE * highest * complex(-ABOVE_DAMPING, 1))
-    fixed = np.arange(len(poles) + count) >= len(poles)
-    driven = np.vstack([np.ones((len(poles), count), dtype=np.bool_), np.eye(count, dtype=np.bool_)])
-    return fit_poles([observation], np.concatenate([poles, above]), driven, fixed, iterations, spread)
+    above, inputs = residual_poles(observations[0]), len(observations[0].inputs)
+    fixed = np.arange(len(poles) + len(above)) >= len(poles)
+    driven = np.ones((len(poles) + len(above), inputs), dtype=np.bool_)
+    driven[len(poles) :] = np.eye(len(above), inputs, dtype=np.bool_)
+    return fit_poles(observations, np.concatenate([poles, above]), driven, fixed, iterations, spread)
+
+
+class _Trial(NamedTuple):
+    """The fit of an order, with its number of modes and what it costs to predict each half from the other."""
+
+    estimate: PoleEstimate
+    modes: int
+    crossed: float
 
 
 def search_modes(
-    halves: tuple[Observation, Observation], most: int, progress: Callable[[int], None] = lambda _pairs: None
-) -> NDArray[np.complex128]:
-    """(modes,) upper poles of the pairs that help to predict [rad/s].
+    records: Sequence[Test],
+    band: tuple[float, float],
+    most: int,
+    predict: Callable[[PoleEstimate, Test], NDArray[np.float64]],
+    progress: Callable[[int], None] = lambda _modes: None,
+) -> tuple[PoleEstimate, int]:
+    """The fit of the best order, and how many of its first poles are modes; those after them are residual terms.
 
     Parameters
     ----------
-    halves
-        Two parts of a record: modes are fitted to each and validated by the other.
+    records, band
+        Records of one structure, and the band [Hz] in which modes are searched.
     most
-        Greatest number of pairs.
+        Greatest number of modes.
+    predict
+        The outputs (samples, outputs) of a record as a fit predicts them.
     progress
-        Called with the number of pairs found.
+        Called with the number of modes of each order that could be fitted.
 
     Raises
     ------
     AbraceError
-        If no pair can be fitted.
+        If no order can be fitted.
     """
-    found = [np.zeros(0, dtype=np.complex128) for _ in halves]
-    costs = [np.inf for _ in halves]
-    residuals = [half.measured / np.sqrt(np.mean(np.abs(half.measured) ** 2, axis=0)) for half in halves]
-    refused: list[complex] = []
-    reason, grid = "none helps to predict", _Grid(halves[0])
-    while len(found[0]) < most and len(refused) < REFUSALS:
-        candidate = grid.strongest(residuals[0], refused)
-        refused.append(candidate)
+    whole = observed(records, band)
+    middles = [len(one.outputs) // 2 for one in records]
+    first = observed([one.part(0, middle) for one, middle in zip(records, middles, strict=True)], band)
+    second = observed([one.part(middle, len(one.outputs)) for one, middle in zip(records, middles, strict=True)], band)
+    most = min(most, max(1, sum(len(one.z) for one in whole) // LINES_OF_A_MODE))
+    subspace, trials, reason, vain = _Subspace(records, band), list[_Trial](), "no pole in the band", 0
+    for order in range(2, min(subspace.highest, 4 * most) + 1, 2):
+        vain += 1
+        poles = subspace.poles(order)
+        light = poles[-poles.real < HEAVY * np.abs(poles)]
+        for start in (poles,) if len(light) == len(poles) else (poles, light):
+            if not (trials[-1].modes if trials else 0) < len(start) <= most:
+                continue
+            try:
+                trial = _tried(whole, (first, second), start)
+            except AbraceError as error:
+                reason = str(error)
+                continue
+            vain = 0 if not trials or trial.estimate.mdl < min(one.estimate.mdl for one in trials) else vain
+            trials.append(trial)
+            progress(trial.modes)
+            break
+        if trials and vain == IN_VAIN:
+            break
+    if not trials:
+        source = ", ".join(one.source for one in records)
+        raise AbraceError(f"{source}: no mode from {band[0]:.4g} to {band[1]:.4g} Hz could be fitted: {reason}")
+    best = min(trials, key=lambda one: one.estimate.mdl)
+    if best.crossed < 0:
+        best = min((one for one in trials if one.modes <= best.modes), key=lambda one: one.crossed)
+    # weak modes beside strong ones show in what is left, where the strong ones' lines count less
+    try:
+        settled = fit_with_residual_terms(
+            weighed(whole, best.estimate), best.estimate.poles[: best.modes], ITERATIONS, "none"
+        )
+    except AbraceError:
+        settled = best.estimate
+    left = [replace(one, outputs=one.outputs - predict(settled, one)) for one in records]
+    for pole in _Subspace(left, band).poles(LEFT_ORDER):
         try:
-            trials = [
-                fit_with_residual_terms(half, np.append(poles, candidate), TRIAL_ITERATIONS, "none")
-                for half, poles in zip(halves, found, strict=True)
-            ]
-            judged = [prediction(trial, half)[0] for trial, half in zip(trials, halves[::-1], strict=True)]
-        except AbraceError as error:
-            reason = str(error)
+            trial = _tried(whole, (first, second), np.append(best.estimate.poles[: best.modes], pole))
+        except AbraceError:
             continue
-        number = len(found[0])
-        better = all(cost < before for cost, before in zip(judged, costs, strict=True))
-        if better and _same(trials[0].poles[number], trials[1].poles[number], halves[0].seconds):
-            costs, found, refused = judged, [trial.poles[: number + 1] for trial in trials], []
-            residuals = [prediction(trial, half)[1] for trial, half in zip(trials, halves, strict=True)]
-            progress(number + 1)
-    if not len(found[0]):
-        raise AbraceError(f"{halves[0].source}: no mode could be fitted: {reason}")
-    return np.asarray((found[0] + found[1]) / 2)
+        if trial.estimate.mdl < best.estimate.mdl and (trial.crossed < best.crossed or not best.crossed < 0):
+            best = trial
+            progress(best.modes)
+    return best.estimate, best.modes
 
 
-def _same(one: complex, other: complex, seconds: float) -> bool:
-    """Whether two records of that length show the same mode, and can resolve it."""
-    half_widths = abs(one.real) + abs(other.real)
-    if HEAVIEST < max(-one.real / abs(one), -other.real / abs(other)) < 1:
-        return False
-    return half_widths > NARROWEST * 2 * np.pi / seconds and abs(one - other) < ALIKE * half_widths
+def observed(records: Sequence[Test], band: tuple[float, float]) -> list[Observation]:
+    """The lines of each of the `records` in a `band` [Hz], of all their inputs."""
+    return [Observation.of_test(one, one.inputs, band) for one in records]
+
+
+def _tried(
+    whole: Sequence[Observation],
+    halves: tuple[Sequence[Observation], Sequence[Observation]],
+    start: NDArray[np.complex128],
+) -> _Trial:
+    """The fit from these starting poles; an error where a pair is no mode, or one mode is fitted twice."""
+    estimate = fit_with_residual_terms(whole, start, TRIAL_ITERATIONS, "none")
+    pairs = np.flatnonzero(estimate.poles[: len(start)].imag > 0)
+    poles, shapes, line = (
+        estimate.poles[pairs],
+        estimate.shapes[:, pairs].T,
+        2 * np.pi / max(one.seconds for one in whole),
+    )
+    if (-poles.real < NARROWEST * line).any():
+        raise AbraceError("a pair has no damping that the record could show")
+    apart = np.abs(poles[:, None] - poles)
+    same = (apart < -(poles.real[:, None] + poles.real)) & (modal_assurance(shapes, shapes) > SAME_SHAPE)
+    if np.triu((apart < line) | same, 1).any():
+        raise AbraceError("one mode is fitted twice")
+    return _Trial(estimate, len(start), _crossed(estimate, len(start), halves))
+
+
+def _crossed(estimate: PoleEstimate, modes: int, halves: tuple[Sequence[Observation], Sequence[Observation]]) -> float:
+    """The cost of predicting each half with the shapes fitted to the other; below 0: better than by zero, both."""
+    costs = []
+    for half, other in (halves, halves[::-1]):
+        try:
+            fitted = fit_with_residual_terms(half, estimate.poles[:modes], 0, "none")
+        except AbraceError:
+            return np.inf
+        cost = 0.0
+        for one in other:
+            unmoved = float(2 * len(one.z) * np.sum(np.log(np.mean(stacked(one.measured) ** 2, axis=0))))
+            cost += prediction(fitted, one)[0] - unmoved
+        costs.append(cost)
+    return sum(costs) if max(costs) < 0 else np.inf
+
+
+class _Subspace:
+    """The observability matrix of every order, from the part of all records in a band, by PO-MOESP.
+
+    `highest` is the greatest order.
+    """
+
+    def __init__(self, records: Sequence[Test], band: tuple[float, float]) -> None:
+        first, series = records[0], []
+        for one in records:
+            samples = min(len(one.outputs), 2 * int(band[1] * one.seconds))
+            # what is above the band falls away with the sample rate, what is below with its lines
+            still = signal.detrend(np.hstack([one.excitation, one.outputs]), axis=0)
+            series.append(signal.resample(still, samples, axis=0))
+        size = np.sqrt(sum(len(each) * each.var(axis=0) for each in series) / sum(map(len, series)))
+        samples, count, channels = min(len(one) for one in series), len(first.inputs), len(first.names)
+        whole = sum(len(one) for one in series)
+        rows = min(
+            BLOCK_ROWS, MOST_ROWS // (2 * (count + channels)), whole // (2 * (count + channels + 1)), samples // 4
+        )
+        if rows < 2:
+            raise AbraceError(f"{first.source}: {whole} samples in the band for {channels} channels, expected more")
+        self.channels, self.band = channels, band
+        self.sample_period = max(one.seconds / len(kept) for one, kept in zip(records, series, strict=True))
+        factor = np.zeros((0, 2 * rows * (count + channels)))
+        for each in series:
+            scaled = each / np.maximum(size, np.finfo(float).tiny)
+            windows = np.lib.stride_tricks.sliding_window_view(scaled, 2 * rows, axis=0)
+            for start in range(0, len(windows), COLUMNS):
+                part = windows[start : start + COLUMNS]
+                u, y = part[:, :count].swapaxes(1, 2), part[:, count:].swapaxes(1, 2)
+                blocks = [
+                    block.reshape(len(part), -1) for block in (u[:, rows:], u[:, :rows], y[:, :rows], y[:, rows:])
+                ]
+                factor = np.asarray(np.linalg.qr(np.vstack([factor, np.hstack(blocks)]), mode="r"))
+        inputs, end = rows * count, rows * (2 * count + channels)
+        self._left, self._values, _ = np.linalg.svd(factor.T[end:, inputs:end], full_matrices=False)
+        self.highest = min((rows - 1) * channels, int(np.linalg.matrix_rank(np.diag(self._values))))
+
+    def poles(self, order: int) -> NDArray[np.complex128]:
+        """The poles in the band [rad/s]: of each pair the one above the real axis, and real ones; all stable."""
+        observability = self._left[:, :order] * np.sqrt(self._values[:order])
+        above, below = observability[: -self.channels], observability[self.channels :]
+        discrete = np.linalg.eigvals(np.linalg.lstsq(above, below, rcond=None)[0]).astype(np.complex128)
+        discrete = discrete[(discrete.imag > 0) | ((discrete.imag == 0) & (discrete.real > 0))]
+        found = np.log(discrete) / self.sample_period
+        found = -np.abs(found.real) + 1j * found.imag
+        size, low, high = np.abs(found), *(2 * np.pi * edge for edge in self.band)
+        found = found[(size > low) & (size < high) & ((found.imag == 0) | (-found.real < HEAVIEST * size))]
+        return found[np.argsort(np.abs(found))]
 
 
 def prediction(estimate: PoleEstimate, observation: Observation) -> tuple[float, NDArray[np.complex128]]:
@@ -162,7 +296,6 @@ def prediction(estimate: PoleEstimate, observation: Observation) -> tuple[float,
     named = [estimate.inputs.index(name) for name in observation.inputs]
     simulated = observation.excitation @ estimate.direct[:, named].T
     delays = np.nan_to_num(estimate.delays)[named]
-    transients: list[NDArray[np.complex128]] = []
     for mode, pole in enumerate(estimate.poles):
         sides = sides_of(pole)
         states = [
@@ -179,13 +312,11 @@ def prediction(estimate: PoleEstimate, observation: Observation) -> tuple[float,
         parts = (estimate.shapes[:, mode].real, estimate.shapes[:, mode].imag)
         for state, part in zip(combined(states, estimate.drive[mode, named]), parts, strict=False):
             simulated = simulated + np.outer(state, part)
-    for pole in dict.fromkeys(estimate.poles):
-        sides = sides_of(pole)
-        transients += combined([observation.samplings[0].transient(side, z)[0][:, None] for side in sides], np.ones(1))
     weight = 1 / observation.noise_level[:, None]
     left = stacked((observation.measured - simulated) * weight)
     if observation.transient:
-        q, _ = np.linalg.qr(stacked(np.column_stack(transients) * weight))
+        leaks = transients(list(dict.fromkeys(estimate.poles)), z, observation.samplings[0])
+        q, _ = np.linalg.qr(stacked(np.column_stack(leaks) * weight))
         left = left - q @ (q.T @ left)
     power = np.maximum(np.mean(left**2, axis=0), np.finfo(float).tiny)
     scaled = left / np.sqrt(power)
@@ -202,10 +333,9 @@ def weighed(
 
     Parameters
     ----------
+    estimate
     observations
         Tests of one kind.
-    estimate
-        The fit to them.
     neighbours
         Number of lines over which the level of the residual is averaged.
     """
@@ -223,61 +353,3 @@ def weighed(
     parts = np.split(more, ends)
     levels = [one.noise_level * part for one, part in zip(observations, parts, strict=True)]
     return [one.with_noise(level / np.median(level)) for one, level in zip(observations, levels, strict=True)]
-
-
-class _Candidate(NamedTuple):
-    """A pole of the grid: the lines around its `frequency` [rad/s] that show it, and orthonormal columns of it there.
-
-    A column has the real parts of two real ones, for real and imaginary parts of the lines, in one complex number.
-    """
-
-    pole: complex
-    frequency: float
-    damping: float
-    lines: slice
-    columns: NDArray[np.complex64]
-
-
-class _Grid:
-    """Poles that may be modes of an `observation`, each alone."""
-
-    def __init__(self, observation: Observation) -> None:
-        omega = np.angle(observation.z) / observation.samplings[0].sample_period
-        self._spacing = float(np.median(np.diff(omega)))
-        self._rows = 2 * len(omega)
-        self._candidates = []
-        for damping in DAMPING:
-            frequency = omega[0]
-            while frequency <= omega[-1]:
-                pole = frequency * complex(-damping, np.sqrt(1 - damping**2))
-                reach = max(REACH * damping * frequency, LEAST_REACH * self._spacing)
-                lines = slice(*np.searchsorted(omega, [frequency - reach, frequency + reach]).tolist())
-                q = np.linalg.qr(stacked(_columns(observation, pole, lines)))[0]
-                both = (q[: len(q) // 2] + 1j * q[len(q) // 2 :]).astype(np.complex64)
-                self._candidates.append(_Candidate(pole, float(frequency), damping, lines, both))
-                frequency = frequency + max(self._spacing, damping * frequency)
-
-    def strongest(self, residual: NDArray[np.complex128], refused: Sequence[complex]) -> complex:
-        """The pole that explains most of a `residual` (lines, channels), away from those refused."""
-        single = residual.astype(np.complex64)
-        best, found = -np.inf, 0j
-        for pole, frequency, damping, lines, columns in self._candidates:
-            if any(abs(pole - other) < 2 * self._spacing + max(damping, NEAR) * frequency for other in refused):
-                continue
-            explained = np.sum((columns.conj().T @ single[lines]).real ** 2, axis=0)
-            gain = -float(np.sum(np.log(np.maximum(1 - 2 * explained / self._rows, 1e-9))))
-            if gain > best:
-                best, found = gain, pole
-        return found
-
-
-def _columns(observation: Observation, pole: complex, chosen: slice) -> NDArray[np.complex128]:
-    """(lines, columns) of one mode alone: its states to each input, and its transient."""
-    z, excitation = observation.z[chosen], observation.excitation[chosen]
-    columns = []
-    for sampling, drive in zip(observation.samplings, excitation.T, strict=True):
-        columns += combined([(drive * sampling.response(side, z)[0])[:, None] for side in sides_of(pole)], np.ones(1))
-    if observation.transient:
-        leaks = [observation.samplings[0].transient(side, z)[0][:, None] for side in sides_of(pole)]
-        columns += combined(leaks, np.ones(1))
-    return np.column_stack(columns)

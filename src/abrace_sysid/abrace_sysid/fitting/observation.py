@@ -4,25 +4,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 from abrace_sysid.fitting.pole_basis import Sampling
+from abrace_sysid.spectra.fourier import lines_within
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from abrace_sysid.spectra.fourier import Spectra
+    from abrace_sysid.recorded.test import Test
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 
 @dataclass(frozen=True)
 class Observation:
-    """One test in the likelihood; made by `of_spectra` or `of_response`.
+    """One test in the likelihood; made by `of_test` or `of_response`.
 
     Parameters
     ----------
@@ -30,16 +32,14 @@ class Observation:
         Name of the test, for messages.
     outputs
         Names of the channels.
-    z
-        (lines,) exp(i w T).
+    omega
+        (lines,) [rad/s], rising.
     excitation
         (lines, inputs) transforms of the inputs, or ones if `measured` are transfer functions.
     measured
         (lines, channels) transforms of the outputs, or transfer functions.
     noise_level
         (lines,) standard deviation of the noise, relative from line to line.
-    inputs
-        Names of the inputs.
     samplings
         How each input moves between samples.
     transient
@@ -53,7 +53,7 @@ class Observation:
 
     source: str
     outputs: tuple[str, ...]
-    z: NDArray[np.complex128]
+    omega: NDArray[np.float64]
     excitation: NDArray[np.complex128]
     measured: NDArray[np.complex128]
     noise_level: NDArray[np.float64]
@@ -70,10 +70,15 @@ class Observation:
         if dead:
             raise AbraceError(f"{self.source}: channel {', '.join(dead)} is zero throughout, expected a response")
 
+    @cached_property
+    def z(self) -> NDArray[np.complex128]:
+        """(lines,) exp(i w T)."""
+        return np.exp(1j * self.omega * self.samplings[0].sample_period)
+
     @property
     def seconds(self) -> float:
         """Length of the record, from the distance of its lines."""
-        return 2 * np.pi * self.samplings[0].sample_period / float(np.median(np.diff(np.angle(self.z))))
+        return 2 * np.pi / float(np.median(np.diff(self.omega)))
 
     def shown(self, poles: NDArray[np.complex128]) -> tuple[int, ...]:
         """The indices into `poles` of those that are excited in this test."""
@@ -85,8 +90,8 @@ class Observation:
 
     def thinned(self, lines: int) -> Observation:
         """The same test at every second, third ... line, so that about `lines` are left; the model is the same."""
-        chosen = slice(None, None, max(1, len(self.z) // lines))
-        of_lines = {name: getattr(self, name)[chosen] for name in ("z", "excitation", "measured", "noise_level")}
+        chosen = slice(None, None, max(1, len(self.omega) // lines))
+        of_lines = {name: getattr(self, name)[chosen] for name in ("omega", "excitation", "measured", "noise_level")}
         return replace(self, **of_lines)
 
     def with_noise(self, level: NDArray[np.float64]) -> Observation:
@@ -94,30 +99,30 @@ class Observation:
         return replace(self, noise_level=level)
 
     @classmethod
-    def of_spectra(cls, spectra: Spectra, source: str) -> Observation:
-        """The observation of a test from its spectra, leakage included.
+    def of_test(
+        cls, test: Test, inputs: Sequence[str], band: tuple[float, float], outputs: Sequence[str] | None = None
+    ) -> Observation:
+        """The observation of a whole test with noise, leakage included.
 
         Parameters
         ----------
-        spectra
-            Spectra of the whole record.
-        source
-            Name of the test, for messages.
+        test, inputs
+            The test, and all inputs that were excited.
+        band
+            Lowest and highest frequency [Hz]; the inputs must be excited throughout.
+        outputs
+            None: all of the test.
+
+        Raises
+        ------
+        AbraceError
+            If a name is unknown or the band has no line.
         """
-        samplings = tuple(Sampling(spectra.sample_period, hold) for hold in spectra.holds)
-        z = np.exp(1j * spectra.omega * spectra.sample_period)
-        level = np.ones(len(z))
-        return cls(
-            source,
-            spectra.outputs,
-            z,
-            spectra.excitation,
-            spectra.outputs_spectrum,
-            level,
-            spectra.inputs,
-            samplings,
-            True,
-        )
+        lines, omega = lines_within(test, len(test.outputs), band)
+        names = tuple(test.names if outputs is None else outputs)
+        excitation, measured = test.spectra(inputs)[lines], test.spectra(names)[lines]
+        samplings = tuple(Sampling(test.sample_period, test.hold_of(name)) for name in inputs)
+        return cls(test.source, names, omega, excitation, measured, np.ones(len(lines)), tuple(inputs), samplings, True)
 
     @classmethod
     def of_response(cls, measured: FrequencyResponse, source: str) -> Observation:
@@ -138,6 +143,15 @@ class Observation:
         known = level > 0
         level = np.where(known, level, level[known].min()) if known.any() else np.ones(len(level))
         sampling = Sampling(measured.sample_period, measured.held)
-        z = np.exp(1j * measured.omega * measured.sample_period)
-        ones = np.ones((len(z), 1), dtype=np.complex128)
-        return cls(source, measured.outputs, z, ones, measured.response, level, (measured.input,), (sampling,), False)
+        ones = np.ones((len(level), 1), dtype=np.complex128)
+        return cls(
+            source,
+            measured.outputs,
+            measured.omega,
+            ones,
+            measured.response,
+            level,
+            (measured.input,),
+            (sampling,),
+            False,
+        )

@@ -1,68 +1,100 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The options of an identification, from its transfer functions to its reduced model."""
+"""The options of an identification: keywords in Python, parameters of the node `identify`, keys of a campaign."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar, Literal
 
-from abrace_core import signals
+from pydantic import Field
+
+from abrace_core import AbraceError
+from abrace_core.files.options import NOT_GIVEN, Band, Count, NonNegative
+from abrace_core.model import signals
 from abrace_sysid.spectra.bands import common_band
 from abrace_sysid.spectra.estimation import TransferFunctionOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from abrace_core.run import Run
+    from abrace_sysid.recorded.test import Test
 
-FIT_METHODS = ("maximum_likelihood", "vector_fitting", "sk", "paper")
-"""Methods of fitting poles, see `pole_fits`."""
-
-AS_EXCITED = (0.0, 0.0)
-"""Instead of a band: the band that the tests excite."""
+POWER, STEPS = -8.0, 10
+"""lambda = w^POWER in the first step of the paper's curve fits, then 1 / |A|^2 of the step before, STEPS times."""
 
 
-@dataclass(frozen=True)
-class IdentificationOptions:
-    """Options of an identification.
+MORE_PAIRS = 3
+"""Pole pairs of A2 beyond the building's: the paper found three that "come from the dynamics of control devices"."""
 
-    Parameters
-    ----------
-    transfer_function
-        Method and settings for tests with noise; periodic tests are averaged over their periods.
-    fit
-        Method for the poles: one of FIT_METHODS.
-    table_band, command_band
-        Bands [Hz] in which the tests are used; the tests must excite all of the band. AS_EXCITED: all that they excite.
-    command_order
-        Number of oscillating poles in the response to the commands (A2), even; 0: chosen from the tests by description
-        length, by `maximum_likelihood` only; the other fits need a number.
-    servo_lag
-        Lag of the actuators from a bench test [s] (Fig. 2); 0: no bench test. `maximum_likelihood` compares it with the
-        lag that it estimates; the other fits use it as given.
-    reduced_order
-        States of the reduced model; 0: the number of significant Hankel singular values.
-    """
+REALS = 2
+"""Greatest number of real poles of a servo; the table's tests may show one more."""
 
-    transfer_function: TransferFunctionOptions = field(default_factory=TransferFunctionOptions)
-    fit: str = "maximum_likelihood"
-    table_band: tuple[float, float] = AS_EXCITED
-    command_band: tuple[float, float] = AS_EXCITED
-    command_order: int = 0
-    servo_lag: float = 0.0
-    reduced_order: int = 0
 
-    def of_tests(self, table: Sequence[Run], command: Sequence[Run]) -> IdentificationOptions:
+class IdentificationOptions(TransferFunctionOptions):
+    """Options of an identification, each with its meaning, range and default."""
+
+    who: ClassVar[str] = "identification"
+
+    method: Literal["maximum_likelihood", "vector_fitting", "paper"] = Field(
+        default="maximum_likelihood", description="how poles and models are fitted"
+    )
+    table_band: Band = Field(default=NOT_GIVEN, description="Hz, band used of the table's tests; 0, 0: as excited")
+    command_band: Band = Field(default=NOT_GIVEN, description="Hz, band used of the commands' tests; 0, 0: as excited")
+    command_order: Count = Field(
+        default=0,
+        description="number of oscillating poles in the commands' tests; 0: found from the tests, by the method paper "
+        "two for each floor and six",
+    )
+    lambda_power: float = Field(
+        default=POWER,
+        description="method paper: the weights of Eq. (1) are this power of the frequency in the first step",
+    )
+    lambda_steps: Count = Field(
+        default=STEPS, description="method paper: further steps, weighted by the poles of the step before"
+    )
+    servo_lag: NonNegative = Field(default=0.0, description="s, lag of the actuators in a bench test; 0: no such test")
+    reduced_order: Count = Field(default=0, description="states of the reduced model; 0: from singular values")
+
+    def require_possible(self, floors: int, groups: int) -> None:
+        """Check that a rig of so many `floors` and brace `groups` can be identified with these options.
+
+        Raises
+        ------
+        AbraceError
+            If not.
+        """
+        if not groups:
+            raise AbraceError("identification: a rig without braces, expected one group at least")
+        least, given = 2 * floors, self.command_order
+        if given and (given < least or given % 2):
+            raise AbraceError(f"identification: command_order {given}, expected an even number of at least {least}")
+        most = float("inf")
+        if self.method == "paper":
+            most = least + groups * (least + (given or least + 2 * MORE_PAIRS))
+        elif given:
+            most = given + REALS * groups + 1
+        if self.reduced_order > most:
+            whole = f"the {most:g} states of the model by method {self.method}"
+            raise AbraceError(f"identification: reduced_order {self.reduced_order}, expected at most {whole}")
+
+    def of_tests(self, table: Sequence[Test], command: Sequence[Test]) -> IdentificationOptions:
         """The same options, with the bands that the tests excite in place of those not given.
 
         Parameters
         ----------
         table, command
-            The tests on the table, and with commands; at least one of each.
+            The tests on the table, and with commands; at least one of each. A band from 0 Hz begins at the first line
+            of the spectrum of the longest one: means are removed.
         """
-        table_band, command_band = self.table_band, self.command_band
-        if table_band == AS_EXCITED:
-            table_band = common_band(table, (signals.GROUND,))
-        if command_band == AS_EXCITED:
-            command_band = common_band(command, command[0].command_names)
-        return replace(self, table_band=table_band, command_band=command_band)
+        bands = {}
+        for name, tests, inputs in (
+            ("table_band", table, (signals.GROUND,)),
+            ("command_band", command, command[0].commands),
+        ):
+            band = getattr(self, name)
+            low, high = common_band(tests, inputs) if band == NOT_GIVEN else band
+            bands[name] = low or 1 / max(test.seconds for test in tests), high
+        return self.model_copy(update=bands)
+
+    def band_of(self, test: Test) -> tuple[float, float]:
+        """The band [Hz] of a `test`: that of the commands if one moves."""
+        return self.command_band if test.moving else self.table_band

@@ -1,20 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The number of poles from data: fits of several orders compared by description length.
+"""The number of poles from data: that of vector fitting, and those next to it, compared by description length.
 
 Orders are tried on a part of the lines, for which the model is the same; the chosen order is then fitted to all lines.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from abrace_core.errors import AbraceError
-from abrace_sysid.fitting.maximum_likelihood import fit_poles
-from abrace_sysid.fitting.vector_fitting import HEAVY_DAMPING, starting_poles
-from abrace_sysid.spectra.frequency_response import FrequencyResponse
+from abrace_core import AbraceError
+from abrace_sysid.fitting.maximum_likelihood import fit_again, fit_poles
+from abrace_sysid.fitting.vector_fitting import HEAVY_DAMPING, WITHIN, FitsByOrder
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,17 +22,18 @@ if TYPE_CHECKING:
 
     from abrace_sysid.fitting.observation import Observation
     from abrace_sysid.fitting.pole_estimate import PoleEstimate, PoleInterval
+    from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 SEARCH_LINES = 1500
 """Approximate number of a test's lines on which orders are tried."""
 
-TRIAL_ITERATIONS = 30
+TRIAL_ITERATIONS = 20
 """Most steps of a trial: a correct order takes about ten."""
 
 FORM_ITERATIONS = 15
 """Most steps of a trial with another form of the servos and a number of pairs that is known to fit."""
 
-IN_VAIN = 2
+IN_VAIN = 1
 """Number of orders in a row without improvement that ends the search."""
 
 MOST_FAILURES = 3
@@ -68,80 +68,55 @@ class Order(NamedTuple):
     coupled: bool = True
 
 
-@dataclass(frozen=True)
-class OrderTrial:
-    """One order tried.
-
-    Parameters
-    ----------
-    order
-        The order.
-    estimate
-        The fitted poles; None if the fit failed.
-    reason
-        Why it failed.
-    """
+class OrderTrial(NamedTuple):
+    """One order tried: the fitted poles, or None and the reason why the fit failed."""
 
     order: Order
     estimate: PoleEstimate | None
     reason: str = ""
 
+    @property
+    def description(self) -> float:
+        """The fit's description length; infinite: it failed."""
+        return self.estimate.mdl if self.estimate else np.inf
 
-def try_orders(
+
+def try_order(
     observations: Sequence[Observation],
-    measured: FrequencyResponse | Sequence[FrequencyResponse],
-    orders: Sequence[Order | tuple[int, int]],
+    fits: Sequence[FitsByOrder],
+    order: Order,
     groups: int = 1,
     most: int = TRIAL_ITERATIONS,
-    starts: dict[tuple[int, int], NDArray[np.complex128]] | None = None,
-) -> list[OrderTrial]:
-    """Fits of one test, or of repeated ones, with each order.
+) -> OrderTrial:
+    """The fit of one test, or of repeated ones, with an `order`.
 
     Parameters
     ----------
-    observations
-        The tests.
-    measured
-        Transfer functions for starting poles; of several, the first is used that leads to a fit.
-    orders
-        Orders to try.
+    observations, fits
+        The tests, and fits of their transfer functions, for starting poles; the first is used that leads to a fit.
     groups
         Number of servos. Each servo's lag, its second real pole, is driven by its own command alone, in the order of
         the inputs. If there is one more input than servos, the first one is the table, which drives all poles except
         lags.
     most
         Greatest number of iterations of a fit.
-    starts
-        Cache of starting poles, by number of transfer function and of pairs.
     """
-    several = (measured,) if isinstance(measured, FrequencyResponse) else tuple(measured)
-    known = {} if starts is None else starts
     ground = len({name for observation in observations for name in observation.inputs}) - groups
-
-    def fitted(order: Order, i: int) -> OrderTrial:
+    reason = ""
+    for of in fits:
         try:
-            if (i, order.pairs) not in known:
-                known[i, order.pairs] = starting_poles(several[i], order.pairs, 2, groups)
-            poles = known[i, order.pairs][: order.pairs + order.reals * groups]
+            poles = of.starting_poles(order.pairs, order.reals, groups)
             driven = np.ones((len(poles), ground + groups), dtype=np.bool_)
             if order.reals == 2:
                 driven[-groups:] = np.eye(ground + groups)[ground:]
             if order.reals and not order.coupled:
                 driven[order.pairs : order.pairs + groups, ground:] = np.eye(groups)
-            first = {"direct": np.nan, "lag": 0.0, "delay": FIRST_DELAY * several[i].sample_period}
+            first = {"direct": np.nan, "lag": 0.0, "delay": FIRST_DELAY * of.measured.sample_period}
             delays = np.append([np.nan] * ground, np.full(groups, first[order.servo]))
             return OrderTrial(order, fit_poles(observations, poles, driven, None, most, "none", delays))
         except AbraceError as error:
-            return OrderTrial(order, None, str(error))
-
-    trials = []
-    for order in (Order(*numbers) for numbers in orders):
-        for i in range(len(several)):
-            trial = fitted(order, i)
-            if trial.estimate is not None:
-                break
-        trials.append(trial)
-    return trials
+            reason = str(error)
+    return OrderTrial(order, None, reason)
 
 
 def best_order(trials: Sequence[OrderTrial]) -> PoleEstimate:
@@ -163,25 +138,24 @@ def best_order(trials: Sequence[OrderTrial]) -> PoleEstimate:
 
 def search_order(
     observations: Sequence[Observation],
-    measured: FrequencyResponse | Sequence[FrequencyResponse],
-    pairs: int,
+    measured: Sequence[FrequencyResponse],
     forms: Sequence[Order],
     groups: int = 1,
-    fixed: bool = False,
+    given: int = 0,
 ) -> PoleEstimate:
     """The fit with the number of pairs, and the form of the servos, of the least description length.
 
     Parameters
     ----------
-    observations, measured, groups
-        As for `try_orders`.
-    pairs
-        First number of pairs: that of the building's modes.
+    observations, groups
+        As for `try_order`.
+    measured
+        Their transfer functions.
     forms
         Forms of the servos: the number of pairs is found with the first form that can be fitted, then the others are
         tried with that number.
-    fixed
-        Whether the number of pairs is given.
+    given
+        Number of pairs; 0: that of vector fitting, more if they are better, fewer if none can be fitted.
 
     Returns
     -------
@@ -193,21 +167,26 @@ def search_order(
     AbraceError
         If no order can be fitted.
     """
-    lines = (measured if isinstance(measured, FrequencyResponse) else measured[0]).omega
+    lines = measured[0].omega
     few = [observation.thinned(SEARCH_LINES) for observation in observations]
+    fits = [FitsByOrder(one) for one in measured]
+    pairs, needed = given, True
+    if not given:
+        orders = [one.order() for one in fits]
+        pairs = max(1, *(len(one.modes(order)) for one, order in zip(fits, orders, strict=True)))
+        # fewer poles would leave errors beyond the uncertainty
+        needed = all(one.of_order(order).misfit <= WITHIN for one, order in zip(fits, orders, strict=True))
     tried: list[OrderTrial] = []
-    found, starts = None, dict[tuple[int, int], "NDArray[np.complex128]"]()
-    # the building's number of modes or more, with all forms of the servos; fewer only if none can be fitted
-    for first in (pairs,) if fixed else range(pairs, 0, -1):
+    found = None
+    for first in (pairs,) if given else range(pairs, 0, -1):
         for form in forms:
-            trials = _pairs_with(
-                few, measured, form._replace(pairs=first), groups, fixed or first < pairs, lines, starts
-            )
+            fixed = bool(given) or first < pairs
+            trials = _pairs_with(few, fits, form._replace(pairs=first), groups, fixed, needed, lines)
             tried += trials
             # an order with a pair that is no mode is accepted only if the user has given that order
-            fit = [one for one in trials if one.estimate and (fixed or not no_modes(one.estimate, lines))]
+            fit = [one for one in trials if one.estimate and (given or not no_modes(one.estimate, lines))]
             if fit:
-                found = min(fit, key=_description)
+                found = min(fit, key=attrgetter("description"))
                 break
         if found is not None:
             break
@@ -221,11 +200,11 @@ def search_order(
         # a form with fewer poles than one that was already worse is not tried
         if form[1:] == found.order[1:] or form.reals < best.order.reals - 1:
             continue
-        (trial,) = try_orders(few, measured, [form._replace(pairs=found.order.pairs)], groups, FORM_ITERATIONS, starts)
-        if _description(trial) < _description(best) and (fixed or not no_modes(trial.estimate, lines)):
+        trial = try_order(few, fits, form._replace(pairs=found.order.pairs), groups, FORM_ITERATIONS)
+        if trial.description < best.description and (given or not no_modes(trial.estimate, lines)):
             best = trial
     assert best.estimate is not None
-    return fit_poles(observations, best.estimate, spread="none")
+    return (fit_poles if given else fit_again)(observations, best.estimate, spread="none")
 
 
 def no_modes(estimate: PoleEstimate | None, lines: NDArray[np.float64]) -> list[PoleInterval]:
@@ -237,31 +216,33 @@ def no_modes(estimate: PoleEstimate | None, lines: NDArray[np.float64]) -> list[
 
 def _pairs_with(
     observations: Sequence[Observation],
-    measured: FrequencyResponse | Sequence[FrequencyResponse],
+    fits: Sequence[FitsByOrder],
     first: Order,
     groups: int,
     fixed: bool,
+    needed: bool,
     lines: NDArray[np.float64],
-    starts: dict[tuple[int, int], NDArray[np.complex128]],
 ) -> list[OrderTrial]:
-    """Trials with rising numbers of pairs until there is no improvement; if the first is the best, with fewer pairs."""
+    """Trials with rising numbers of pairs until there is no improvement; if the first is the best, with fewer pairs.
+
+    `fixed`: only the first; `needed`: not with fewer.
+    """
     if fixed:
-        return try_orders(observations, measured, [first], groups, starts=starts)
+        return [try_order(observations, fits, first, groups)]
     trials: list[OrderTrial] = []
     best, least = 0, np.inf
-    more, fewer = range(first.pairs, first.pairs + MOST_MORE), range(first.pairs - 1, 0, -1)
+    more, fewer = range(first.pairs, first.pairs + MOST_MORE), range(0 if needed else first.pairs - 1, 0, -1)
     for numbers, vain in ((more, IN_VAIN), (fewer, 1)):
         in_vain = 0
         for pairs in numbers if best in (0, first.pairs) else ():
-            (trial,) = try_orders(observations, measured, [first._replace(pairs=pairs)], groups, starts=starts)
-            if (
-                trial.estimate is None and first.reals == 2
-            ):  # its fast poles, of which one represents lags, filters and delays together
+            trial = try_order(observations, fits, first._replace(pairs=pairs), groups)
+            if trial.estimate is None and first.reals == 2:
+                # of its fast poles one represents lags, filters and delays together
                 simpler = first._replace(pairs=pairs, reals=1, servo="direct")
-                (trial,) = try_orders(observations, measured, [simpler], groups, starts=starts)
+                trial = try_order(observations, fits, simpler, groups)
             trials.append(trial)
-            if _description(trial) < least and not no_modes(trial.estimate, lines):
-                best, least, in_vain = pairs, _description(trial), 0
+            if trial.description < least and not no_modes(trial.estimate, lines):
+                best, least, in_vain = pairs, trial.description, 0
             else:
                 in_vain += 1
             if in_vain == (vain if best else MOST_FAILURES):
@@ -269,7 +250,3 @@ def _pairs_with(
         if not best:
             break
     return trials
-
-
-def _description(trial: OrderTrial) -> float:
-    return trial.estimate.mdl if trial.estimate else np.inf

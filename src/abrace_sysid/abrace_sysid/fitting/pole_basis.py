@@ -14,14 +14,16 @@ their derivatives are exact too.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
-    from abrace_sysid.spectra.holds import InputHold
+    from abrace_sysid.recorded.test import InputHold
 
 
 @dataclass(frozen=True)
@@ -113,3 +115,60 @@ def _step(pole: complex, span: float) -> tuple[complex, complex]:
 def sides_of(pole: complex) -> tuple[complex, ...]:
     """The `pole` of a pair and its conjugate, or a real pole alone."""
     return (pole, pole.conjugate()) if pole.imag > 0 else (pole.real,)
+
+
+def forced(
+    poles: Sequence[complex] | NDArray[np.complex128],
+    z: NDArray[np.complex128],
+    samplings: Sequence[Sampling],
+    excitation: NDArray[np.complex128],
+    delays: Sequence[float] | NDArray[np.float64] | None = None,
+) -> list[NDArray[np.complex128]]:
+    """The states of the poles under each input alone, as columns (lines,) with real coefficients: two of a pair.
+
+    Parameters
+    ----------
+    poles
+        [rad/s], of each pair the one above the real axis, and real ones.
+    z
+        (lines,) exp(i w T).
+    samplings, excitation
+        How each input moves between samples, and (lines, inputs) spectra of the inputs.
+    delays
+        (inputs,) [s]; None: none.
+    """
+    columns, later = [], np.zeros(len(samplings)) if delays is None else delays
+    for pole in poles:
+        for sampling, drive, delay in zip(samplings, excitation.T, later, strict=True):
+            sides = [(drive * sampling.response(side, z, delay)[0])[:, None] for side in sides_of(pole)]
+            columns += combined(sides, np.ones(1))
+    return columns
+
+
+def transients(
+    poles: Sequence[complex] | NDArray[np.complex128], z: NDArray[np.complex128], sampling: Sampling
+) -> list[NDArray[np.complex128]]:
+    """The leakage of the poles, as columns (lines,) with real coefficients: two of a pair.
+
+    Parameters
+    ----------
+    poles, z
+        As for `forced`.
+    sampling
+        Of any input; its sample period is used.
+    """
+    columns = []
+    for pole in poles:
+        columns += combined([sampling.transient(side, z)[0][:, None] for side in sides_of(pole)], np.ones(1))
+    return columns
+
+
+def combined(sides: Sequence[NDArray[np.complex128]], vector: NDArray[Any]) -> list[NDArray[np.complex128]]:
+    """Two real combinations of the responses (lines, inputs) of both `sides` of a pair, weighted by a `vector`.
+
+    A real pole has one side and one combination.
+    """
+    if len(sides) == 1:
+        return [sides[0] @ vector]
+    above, below = sides[0] @ vector, sides[1] @ vector.conj()
+    return [(above + below) / 2, (above - below) * 0.5j]

@@ -4,9 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from math import nan
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+import pydantic
+
+from abrace_core.files.config_file import Number  # noqa: TC001  pydantic reads it
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -14,23 +18,30 @@ if TYPE_CHECKING:
 NORMAL_95 = 1.959964
 """Half the width of a normal distribution's central 95 %, in standard deviations."""
 
+TESTS = {"table": "table test", "command": "command test", "common": "both tests"}
+"""What pole pairs are from: as key in files, and in words."""
+
+
+SURE = 3.0
+"""Standard deviations: of 174 records of 40 s five had a pair of noise beyond 2 of them, one beyond 3."""
+
 
 @dataclass(frozen=True)
 class PoleInterval:
-    """One pole pair with its uncertainty.
+    """One pole pair with its uncertainty; in files by pydantic, with `damping_ratio`.
 
     Parameters
     ----------
     frequency, damping
         Modulus [rad/s] and damping ratio.
     frequency_deviation, damping_deviation
-        Standard deviations of these.
+        Standard deviations of these; not numbers where they are not known.
     """
 
     frequency: float
-    damping: float
-    frequency_deviation: float
-    damping_deviation: float
+    damping: Annotated[float, pydantic.Field(alias="damping_ratio")]
+    frequency_deviation: Number = nan
+    damping_deviation: Annotated[Number, pydantic.Field(alias="damping_ratio_deviation")] = nan
 
     @property
     def frequency_interval(self) -> tuple[float, float]:
@@ -43,6 +54,11 @@ class PoleInterval:
         """95 % confidence interval of the damping ratio."""
         half = NORMAL_95 * self.damping_deviation
         return self.damping - half, self.damping + half
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the damping ratio is SURE standard deviations from 0, or these are not known; noise is no mode."""
+        return not self.damping <= SURE * self.damping_deviation
 
 
 @dataclass(frozen=True)
@@ -62,10 +78,6 @@ class PoleEstimate:
         Number of real values that were fitted.
     unknowns
         Number of unknowns: poles' parts, coefficients and noise levels.
-    iterations
-        Number of steps.
-    inputs, outputs
-        Names of the inputs and outputs.
     drive
         (poles, inputs) complex: how much each input drives each mode, q' = p q + drive u; real of a real pole.
     shapes
@@ -87,7 +99,6 @@ class PoleEstimate:
     cost: float
     observed: int
     unknowns: int
-    iterations: int
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     drive: NDArray[np.complex128]

@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poles of the table test, of the command test and of both, by a method chosen by name.
+"""Poles of the table tests, of the command tests and of both, by vector fitting or by maximum likelihood.
 
-- maximum_likelihood: all channels, leakage, the servos' real poles and delays in the model, with confidence intervals;
-  orders chosen from the data by description length
-- vector_fitting: common poles of all channels of the transfer functions
-- sk: Sanathanan-Koerner iterations on the top floor's acceleration, weighted by its uncertainty
-- paper: Eqs. (1) and (2) on the top floor's acceleration, unweighted, the sign in Eq. (1) corrected
-
-The last two fit a ratio of polynomials of s. Hold and servo lag are not such ratios and are divided out first.
+- vector_fitting: common poles of all channels of the transfer functions; shapes and drives for these poles from the
+  spectra, by one linear least-squares problem
+- maximum_likelihood: these poles refined on the spectra, with leakage, the servos' real poles and delays in the model,
+  and confidence intervals
 """
 
 from __future__ import annotations
@@ -17,21 +14,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from abrace_core import signals
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import pole_table
-from abrace_sysid.fitting.building_modes import building_modes, same_modes
+from abrace_core import AbraceError
+from abrace_core.model.modes import match_modes, modal_assurance
 from abrace_sysid.fitting.covariance import LEAST_PIECES
-from abrace_sysid.fitting.curve_fit import fit_rational, fit_sanathanan_koerner, require_stable, uncertainty_weights
-from abrace_sysid.fitting.maximum_likelihood import fit_poles
+from abrace_sysid.fitting.likelihood import FASTEST
+from abrace_sysid.fitting.maximum_likelihood import fit_again, fit_poles
 from abrace_sysid.fitting.mode_search import weighed
 from abrace_sysid.fitting.observation import Observation
 from abrace_sysid.fitting.order_selection import Order, no_modes, search_order
-from abrace_sysid.fitting.pole_estimate import PoleInterval
-from abrace_sysid.fitting.slow_pole import slow_real_pole
-from abrace_sysid.fitting.vector_fitting import modes_of, vector_fitting
-from abrace_sysid.spectra.fourier import spectra_of
-from abrace_sysid.spectra.periodic_response import periodic_response
+from abrace_sysid.fitting.pole_estimate import TESTS
+from abrace_sysid.fitting.vector_fitting import FitsByOrder, modes_of, vector_fitting
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -39,16 +31,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_sysid.fitting.options import IdentificationOptions
-    from abrace_sysid.fitting.pole_estimate import PoleEstimate
+    from abrace_sysid.fitting.pole_estimate import PoleEstimate, PoleInterval
+    from abrace_sysid.input_tests import InputTests
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
-    from abrace_sysid.spectra.measured_tests import TestData
+
 
 NEIGHBOURS = 17
 """Lines over which the level of a fit's residual is averaged: 0.06 Hz for a record of 300 s."""
-
-
-ROUNDING = 1e-9
-"""By this share a band is widened, so that rounding leaves out no line at its edges."""
 
 
 @dataclass(frozen=True)
@@ -61,21 +50,18 @@ class PoleFit:
         (2 modes,) A1: the building's poles from the table test [rad/s], conjugates too, slowest first.
     command
         (2 pairs,) A2: all pairs of the command test, in the same order.
-    of_model
-        The common poles of both inputs, with the servo's slow real pole, for the consistent model.
     table_pairs, command_pairs, common_pairs
         Frequency and damping of the pairs with their standard deviations; NaN if the method gives none.
     building
         (2 floors,) the building's poles from the command test.
     estimate
-        The modes of all tests by maximum likelihood; None with another method.
+        The modes of all tests; None by the paper's method.
     warnings
         On the modes, one sentence each.
     """
 
     table: NDArray[np.complex128]
     command: NDArray[np.complex128]
-    of_model: NDArray[np.complex128]
     table_pairs: tuple[PoleInterval, ...]
     command_pairs: tuple[PoleInterval, ...]
     common_pairs: tuple[PoleInterval, ...]
@@ -83,15 +69,20 @@ class PoleFit:
     estimate: PoleEstimate | None = None
     warnings: tuple[str, ...] = ()
 
+    @property
+    def pairs(self) -> dict[str, tuple[PoleInterval, ...]]:
+        """All pairs, by the keys of `TESTS`."""
+        return dict(zip(TESTS, (self.table_pairs, self.command_pairs, self.common_pairs), strict=True))
 
-def fit_poles_of(
-    table: TestData,
-    commands: Sequence[TestData],
+
+def fit_modes(
+    table: InputTests,
+    commands: Sequence[InputTests],
     floors: int,
     options: IdentificationOptions,
     progress: Callable[[str, float], None],
 ) -> PoleFit:
-    """The poles by the method that the options name.
+    """Fit table and commands alone, then both with common modes: the commands', some of which the table shows.
 
     Parameters
     ----------
@@ -100,78 +91,30 @@ def fit_poles_of(
     floors
         Number of floors, and of the building's modes.
     options
-        `fit`, `command_order` and `servo_lag` are used.
+        `method` and `command_order` are used.
     progress
         Called with the step that begins and the fraction done.
 
     Raises
     ------
     AbraceError
-        If a fit fails, a pole is unstable, or the building's modes are not among the poles.
+        If a fit fails, a pole is unstable, or no mode of the building is among the poles.
     """
-    if options.fit == "maximum_likelihood":
-        return _maximum_likelihood(table, commands, floors, options, progress)
-    if len(commands) > 1:
-        raise AbraceError(f"identification: fit {options.fit} of {len(commands)} commands, expected maximum_likelihood")
-    building = _by_curve_fit(table, 2 * floors, options, floors)
-    everything = _by_curve_fit(commands[0], options.command_order, options, floors)
-    slowest = [(one + other) / 2 for one, other in zip(building, everything[:floors], strict=True)]
-    common = _with_conjugates(np.array([*slowest, *everything[floors:]]))
-    slow = slow_real_pole(table.responses[0], common)
-    return PoleFit(
-        _with_conjugates(building),
-        _with_conjugates(everything),
-        common if slow is None else np.append(common, slow),
-        _without_deviation(building),
-        _without_deviation(everything),
-        _without_deviation(common),
-        _with_conjugates(everything[:floors]),
-    )
-
-
-def steady(data: TestData, estimate: PoleEstimate) -> TestData:
-    """Periodic tests with the free decay of the modes of a fit removed from the responses; others as they are.
-
-    Parameters
-    ----------
-    data
-        The tests of one input.
-    estimate
-        The fit.
-    """
-    if not data.periodic:
-        return data
-    omega = data.responses[0].omega
-    band = float(omega[0] / (2 * np.pi)), float(omega[-1] / (2 * np.pi))
-    return replace(data, responses=tuple(_without_decay(data, band, _upper(estimate.poles))))
-
-
-def _maximum_likelihood(
-    table: TestData,
-    commands: Sequence[TestData],
-    floors: int,
-    options: IdentificationOptions,
-    progress: Callable[[str, float], None],
-) -> PoleFit:
-    """Fit table and commands alone, then both with common modes: the commands', some of which the table shows."""
     responses = [data.responses[0] for data in commands]
     if len(table.together) > 1:
-        progress("maximum likelihood, both", 0.5)
-        of_both = _of_tests_with_all_inputs(table, commands, floors, options)
+        progress("poles of both", 0.5)
+        of_both = _of_tests_with_all_inputs(table, commands, options)
         of_table = of_command = of_both
     else:
-        of_table, of_command, of_both = _of_tests_apart(table, commands, floors, options, progress)
-    highest = responses[0].omega[-1]
+        of_table, of_command, of_both = _of_tests_apart(table, commands, options, progress)
     building = building_modes(of_both, floors)
     if not len(building):
         raise AbraceError(f"{table.source}: no pair is a mode of the building, expected up to {floors}")
     in_table, in_command = (same_modes(of_both, building, other) for other in (of_table, of_command))
-    reals = _reals(of_both.poles)
     heavy = no_modes(of_both, responses[0].omega)
     return PoleFit(
         _with_conjugates(of_table.poles[in_table[in_table >= 0]]),
         _with_conjugates(_upper(of_command.poles)),
-        np.concatenate([_with_conjugates(_upper(of_both.poles)), reals[np.abs(reals) <= highest]]),
         _pairs_at(of_table, in_table),
         tuple(of_command.pairs()),
         tuple(pair for pair in of_both.pairs() if pair not in heavy),
@@ -182,40 +125,48 @@ def _maximum_likelihood(
 
 
 def _of_tests_with_all_inputs(
-    table: TestData, commands: Sequence[TestData], floors: int, options: IdentificationOptions
+    table: InputTests, commands: Sequence[InputTests], options: IdentificationOptions
 ) -> PoleEstimate:
     """The modes of tests in which table and commands were excited at once by noise."""
-    responses = side_by_side([data.responses[0] for data in (table, *commands)])
-    given, groups = options.command_order // 2, len(commands)
+    responses = [side_by_side([data.responses[0] for data in (table, *commands)])]
+    pairs, groups = options.command_order // 2, len(commands)
     tests = _observations([table])
-    first = search_order(tests, responses, given or floors, _servos(groups), groups, given > 0)
-    tests, found = _with_noise_as_found(tests, first)
+    if options.method == "vector_fitting":
+        return _vector_fitted(tests, responses, 2 * groups, pairs)
+    first = search_order(tests, responses, _servos(groups), groups, pairs)
+    tests, found = _with_noise_as_found(tests, first, pairs)
     return fit_poles(tests, found, spread="joint")
 
 
 def _of_tests_apart(
-    table: TestData,
-    commands: Sequence[TestData],
-    floors: int,
+    table: InputTests,
+    commands: Sequence[InputTests],
     options: IdentificationOptions,
     progress: Callable[[str, float], None],
 ) -> tuple[PoleEstimate, PoleEstimate, PoleEstimate]:
     """The modes of the table tests, of the command tests, and of all tests together."""
+    by_likelihood, groups, pairs = options.method == "maximum_likelihood", len(commands), options.command_order // 2
     top, highest = (data.responses[0].omega[-1] for data in (table, commands[0]))
-    progress("maximum likelihood, table", 0.5)
-    from_table, measured = _observations([table]), table.responses[0]
-    of_table = search_order(from_table, measured, floors, [Order(0, 1), Order(0, 0)])
-    from_table, of_table = _with_noise_as_found(_steady([table], from_table, of_table), of_table)
-    progress("maximum likelihood, command", 0.6)
-    from_command, groups = _observations(commands), len(commands)
+    progress("poles of the table tests", 0.5)
+    from_table, measured = _observations([table]), [table.responses[0]]
+    if by_likelihood:
+        of_table = search_order(from_table, measured, [Order(0, 1), Order(0, 0)])
+        from_table, of_table = _with_noise_as_found(_without_decay([table], from_table, of_table), of_table)
+    else:
+        of_table = _vector_fitted(from_table, measured, 1)
+    progress("poles of the command tests", 0.6)
+    from_command = _observations(commands)
     responses = [data.responses[0] for data in commands]
     # multisines share the lines: the lines of each are too far apart for interpolation
     together = responses if commands[0].periodic else [side_by_side(responses)]
-    given = options.command_order // 2
-    of_command = search_order(from_command, together, given or floors, _servos(groups), groups, given > 0)
-    from_command, of_command = _with_noise_as_found(_steady(commands, from_command, of_command), of_command)
+    if by_likelihood:
+        of_command = search_order(from_command, together, _servos(groups), groups, pairs)
+        undecayed = _without_decay(commands, from_command, of_command)
+        from_command, of_command = _with_noise_as_found(undecayed, of_command, pairs)
+    else:
+        of_command = _vector_fitted(from_command, together, 2 * groups, pairs)
 
-    progress("maximum likelihood, both", 0.75)
+    progress("poles of both tests", 0.75)
     poles, drive = of_command.poles, of_command.drive
     slow = _reals(of_table.poles)
     if len(slow) and not (np.abs(_reals(poles)) < highest).any():
@@ -228,12 +179,32 @@ def _of_tests_apart(
     driven = np.hstack([np.ones((len(poles), 1), dtype=np.bool_), drive != 0])
     delays = np.concatenate([[np.nan], of_command.delays])
     tests = [*(replace(one, poles=shown) for one in from_table), *from_command]
-    of_both = fit_poles(tests, poles, driven, spread="joint", delays=delays)
-    return of_table, of_command, of_both
+    if by_likelihood:
+        return of_table, of_command, fit_poles(tests, poles, driven, spread="joint", delays=delays)
+    return of_table, of_command, fit_poles(tests, poles, driven, most=0, spread="none", delays=delays)
+
+
+def _vector_fitted(
+    observations: Sequence[Observation], measured: Sequence[FrequencyResponse], reals: int, pairs: int = 0
+) -> PoleEstimate:
+    """The modes with the poles of vector fitting of the first response.
+
+    `reals`: number of the servos' real poles; `pairs`: of pole pairs; 0: those of the least order whose error is within
+    the uncertainty.
+    """
+    one = measured[0]
+    fits = FitsByOrder(one)
+    order = fits.order_of(pairs) if pairs else fits.order()
+    # over all lines, which weigh alike: a line's own uncertainty is small at a resonance, where errors are large
+    fit = vector_fitting(one, 2 * len(fits.modes(order)[: pairs or None]) + reals)
+    modes = modes_of(fit, one)[: pairs or None]
+    real = _reals(fit.poles)
+    real = real[(-real.real > one.omega[0]) & (-real.real < FASTEST / one.sample_period)]
+    return fit_poles(observations, np.concatenate([_upper(modes), real]), most=0, spread="none")
 
 
 def _with_noise_as_found(
-    observations: Sequence[Observation], estimate: PoleEstimate
+    observations: Sequence[Observation], estimate: PoleEstimate, given: int = 0
 ) -> tuple[list[Observation], PoleEstimate]:
     """The tests with lines weighted by the residual of a first fit around them, and the fit of the weighted tests.
 
@@ -242,12 +213,13 @@ def _with_noise_as_found(
     these tests among others is reduced by the increase of their poles' variance. A few multisines have too few lines
     around a resonance, and keep the noise levels from their periods. With more, these levels are not used: of each line
     they are known from a few others in between, and so uneven that some lines would count much too much.
+    Pairs that are unstable or not sure with these weights are left out, unless their number is `given`.
     """
     found = list(observations)
     if observations[0].transient or len(observations) >= LEAST_PIECES:
         even = [one.with_noise(np.ones(len(one.z))) for one in observations]
         found = weighed(even, estimate, NEIGHBOURS)
-    again = fit_poles(found, estimate)
+    again = (fit_poles if given else fit_again)(found, estimate)
     return [replace(one, weight=1 / again.inflation) for one in found], again
 
 
@@ -264,7 +236,7 @@ def _pairs_at(estimate: PoleEstimate, places: NDArray[np.int64]) -> tuple[PoleIn
 
 
 def _remarks(
-    table: TestData,
+    table: InputTests,
     estimate: PoleEstimate,
     building: NDArray[np.int64],
     in_table: NDArray[np.int64],
@@ -311,67 +283,24 @@ def side_by_side(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     return replace(first, outputs=names, response=response, sigma=sigma)
 
 
-def _observations(tests: Sequence[TestData], poles: NDArray[np.complex128] | None = None) -> list[Observation]:
-    """Observations: of each test with noise its spectra with leakage, once; of a periodic test its responses.
-
-    With `poles` [rad/s], their free decay is removed from periodic tests.
-    """
+def _observations(tests: Sequence[InputTests]) -> list[Observation]:
+    """Observations: of each test with noise its spectra with leakage, once; of a periodic test its responses."""
     found = []
     for data in tests:
-        omega = data.responses[0].omega
-        band = (float(omega[0] / (2 * np.pi)), float(omega[-1] / (2 * np.pi)))
         if data.periodic:
-            responses = data.responses if poles is None else _without_decay(data, band, poles)
-            found += [Observation.of_response(one, run.source) for one, run in zip(responses, data.runs, strict=True)]
+            both = zip(data.responses, data.tests, strict=True)
+            found += [Observation.of_response(one, test.source) for one, test in both]
         elif data.input == data.together[0]:
-            spectra = [spectra_of(run, data.together, band).select(data.outputs) for run in data.runs]
-            found += [Observation.of_spectra(one, run.source) for one, run in zip(spectra, data.runs, strict=True)]
+            band = data.responses[0].band
+            found += [Observation.of_test(test, data.together, band, data.outputs) for test in data.tests]
     return found
 
 
-def _without_decay(data: TestData, band: tuple[float, float], poles: NDArray[np.complex128]) -> list[FrequencyResponse]:
-    """The responses of periodic tests with the free decay of modes removed."""
-    edges = band[0] * (1 - ROUNDING), band[1] * (1 + ROUNDING)
-    found = [periodic_response(run, data.input, edges, poles=poles).frequency_response for run in data.runs]
-    return [one.select(data.outputs) for one in found]
-
-
-def _steady(
-    tests: Sequence[TestData], observations: Sequence[Observation], estimate: PoleEstimate
-) -> Sequence[Observation]:
-    """Periodic tests without the free decay of the modes of a first fit; tests with noise as they are."""
-    return _observations(tests, _upper(estimate.poles)) if tests[0].periodic else observations
-
-
-def _by_curve_fit(data: TestData, order: int, options: IdentificationOptions, floors: int) -> NDArray[np.complex128]:
-    """(order / 2,) upper poles of the pairs, slowest first; the slowest `floors` are the building's."""
-    measured = data.responses[0]
-    where = f"{data.source}: {options.fit} of {data.input}, order {order}"
-    if options.fit == "vector_fitting":
-        # and the servo's slow pole, together with a local mode (table) or the lag (command)
-        fit = vector_fitting(measured, order + (3 if data.input == signals.GROUND else 2))
-        poles = modes_of(fit, measured)[: order // 2]
-    else:
-        poles = _upper(require_stable(_ratio_of_polynomials(measured, order, options), where))
-    poles = poles[np.argsort(np.abs(poles))]
-    if len(poles) != order // 2 or len(pole_table(poles[:floors])) != floors:
-        raise AbraceError(f"{where}: {len(poles)} oscillating pairs, expected {order // 2}")
-    return np.asarray(poles)
-
-
-def _ratio_of_polynomials(
-    measured: FrequencyResponse, order: int, options: IdentificationOptions
-) -> NDArray[np.complex128]:
-    """All poles of the top floor's acceleration by Eq. (1) or by Sanathanan-Koerner iterations."""
-    accelerations = [name for name in measured.outputs if name.startswith("a")]
-    if not accelerations:
-        raise AbraceError(f"{options.fit} of {measured.input}: no acceleration among the channels, expected one")
-    delay = 0.0 if measured.input == signals.GROUND else options.servo_lag
-    one = measured.without_hold(delay).select([accelerations[-1]])
-    g, sigma = one.response[:, 0], one.sigma[:, 0]
-    if options.fit == "paper":
-        return fit_rational(one.omega, g, order, order).poles()
-    return fit_sanathanan_koerner(one.omega, g, order, order, uncertainty_weights(g, sigma)).poles()
+def _without_decay(
+    tests: Sequence[InputTests], observations: list[Observation], estimate: PoleEstimate
+) -> list[Observation]:
+    """The observations of periodic tests without the free decay of the modes of a first fit; others as they are."""
+    return _observations([data.without_decay(estimate.poles) for data in tests]) if tests[0].periodic else observations
 
 
 def _upper(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
@@ -391,6 +320,50 @@ def _with_conjugates(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
     return np.asarray(np.column_stack([poles, poles.conj()]).ravel())
 
 
-def _without_deviation(poles: NDArray[np.complex128]) -> tuple[PoleInterval, ...]:
-    unknown = float("nan")
-    return tuple(PoleInterval(*pair, unknown, unknown) for pair in pole_table(poles))
+ALIKE = 0.6
+"""Greatest difference of both shapes, over the sum of their sizes, of a mode of the building."""
+
+
+def building_modes(estimate: PoleEstimate, floors: int) -> NDArray[np.int64]:
+    """(modes,) indices into `estimate.poles` of the building's pole pairs, slowest first.
+
+    Parameters
+    ----------
+    estimate
+        The fit; its outputs are displacements x1, x2 ... and accelerations a1, a2 ... of the same floors. Without
+        these the slowest pairs are taken.
+    floors
+        Number of floors, which is the greatest number of modes.
+    """
+    pairs = np.flatnonzero(estimate.poles.imag > 0)
+    pairs = pairs[np.argsort(np.abs(estimate.poles[pairs]))]
+    names = estimate.outputs
+    both = [f"{i + 1}" for i in range(floors) if f"x{i + 1}" in names and f"a{i + 1}" in names]
+    if not both:
+        return pairs[:floors]
+    displacement, acceleration = (estimate.shapes[[names.index(kind + i) for i in both]] for kind in "xa")
+    expected = displacement * estimate.poles**2
+    difference, sizes = np.linalg.norm(acceleration - expected, axis=0), np.linalg.norm(acceleration, axis=0)
+    unlike = (difference / np.maximum(sizes + np.linalg.norm(expected, axis=0), np.finfo(float).tiny))[pairs]
+    chosen = np.argsort(unlike, kind="stable")[:floors]
+    return pairs[np.sort(chosen[unlike[chosen] < ALIKE])]
+
+
+def same_modes(estimate: PoleEstimate, wanted: NDArray[np.int64], other: PoleEstimate) -> NDArray[np.int64]:
+    """(modes,) indices into `other.poles` of the modes `wanted` of `estimate`; -1: not found.
+
+    Parameters
+    ----------
+    estimate, other
+        Two fits with the same outputs.
+    wanted
+        (modes,) indices into `estimate.poles`, of pairs.
+    """
+    unit = np.sqrt(np.mean(np.abs(estimate.shapes[:, wanted]) ** 2, axis=1, keepdims=True))
+    unit[unit == 0] = 1.0
+    pairs = np.flatnonzero(other.poles.imag > 0)
+    found = np.full(len(wanted), -1)
+    alike = modal_assurance((estimate.shapes[:, wanted] / unit).T, (other.shapes[:, pairs] / unit).T)
+    for i, j in match_modes(np.abs(estimate.poles[wanted]), np.abs(other.poles[pairs]), alike):
+        found[i] = pairs[j]
+    return found

@@ -7,7 +7,7 @@ ratio of polynomials in z = exp(i w T), not in s: the fractions are 1 / (z - a) 
 compensation. The servo's lag is a fast real pole.
 
 Poles outside the unit circle are mirrored into it before the next iteration. The poles of the last iteration are not:
-`vector_fitting` refuses an unstable pole, `fit_common_poles` returns it.
+`vector_fitting` refuses an unstable pole within the band, `fit_common_poles` returns it.
 """
 
 from __future__ import annotations
@@ -18,9 +18,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg
 
-from abrace_core.errors import AbraceError
-from abrace_sysid.fitting.condensed_lines import stacked, triangular_factor
-from abrace_sysid.fitting.curve_fit import least_squares, require_stable, uncertainty_weights
+from abrace_core import AbraceError
+from abrace_sysid.fitting.curve_fit import (
+    least_squares,
+    require_stable,
+    stacked,
+    triangular_factor,
+    uncertainty_weights,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,8 +34,16 @@ if TYPE_CHECKING:
 
 ITERATIONS = 30
 
-START_ITERATIONS, START_LINES = 10, 2000
-"""Iterations and lines for starting poles."""
+START_ITERATIONS, START_LINES, START_CONVERGED = 10, 1000, 1e-3
+"""Iterations and lines of the fits of rising order, and the relative movement of every pole that ends them."""
+
+WITHIN = 1.0
+"""The order is enough if the mean square error, in units of each value's uncertainty, is not greater."""
+
+BETTER, IN_VAIN = 0.8, 2
+"""An order is better if this error is less than so much of the least one before; so many orders in vain end it."""
+
+MOST_ORDER = 120
 
 CONVERGED = 1e-6
 """Relative movement of every pole that ends the iterations."""
@@ -62,11 +75,14 @@ class VectorFit:
         (poles, channels) complex: residues of the fractions 1 / (z - a), the mode shapes of the channels.
     strength
         (poles,) greatest peak |residue| / (1 - |a|) in any channel, as a share of that channel's rms response.
+    misfit
+        Mean weighted square error.
     """
 
     poles: NDArray[np.complex128]
     shapes: NDArray[np.complex128]
     strength: NDArray[np.float64]
+    misfit: float
 
 
 def vector_fitting(measured: FrequencyResponse, order: int) -> VectorFit:
@@ -74,23 +90,27 @@ def vector_fitting(measured: FrequencyResponse, order: int) -> VectorFit:
 
     Parameters
     ----------
+    order
     measured
         The response, hold and delays included; channels are weighted by their mean variance, all lines equally.
-    order
-        Number of poles.
 
     Raises
     ------
     AbraceError
-        If there are too few lines, or a pole is unstable.
+        If there are too few lines, or a pole that is not above the band is unstable.
     """
     fit = fit_common_poles(measured, order, _channel_weights(measured))
-    require_stable(fit.poles, f"vector fitting of order {order}")
+    # faster ones are no modes of the rig but stand for noise and misfit, and are not used
+    require_stable(fit.poles[fit.poles.imag <= measured.omega[-1]], f"vector fitting of order {order}")
     return fit
 
 
 def fit_common_poles(
-    measured: FrequencyResponse, order: int, weights: NDArray[np.float64], iterations: int = ITERATIONS
+    measured: FrequencyResponse,
+    order: int,
+    weights: NDArray[np.float64],
+    iterations: int = ITERATIONS,
+    converged: float = CONVERGED,
 ) -> VectorFit:
     """As `vector_fitting`, unstable poles included.
 
@@ -102,6 +122,8 @@ def fit_common_poles(
         (lines, channels) weights of the squared errors.
     iterations
         Greatest number of iterations.
+    converged
+        Relative movement of every pole that ends them.
 
     Raises
     ------
@@ -123,68 +145,110 @@ def fit_common_poles(
     for _ in range(iterations):
         inside = np.where(np.abs(a) > 1, 1 / a.conj(), a)
         relocated = _relocated(z, measured.response, root, inside)
-        same = len(relocated) == len(a) and np.abs(relocated - a).max() <= CONVERGED * np.abs(a - 1).min()
+        same = len(relocated) == len(a) and np.abs(relocated - a).max() <= converged * np.abs(a - 1).min()
         a = relocated
         if same:
             break
     basis = np.column_stack([_fractions(z, a), np.ones(lines)])
-    residues = np.empty((len(a), measured.response.shape[1]), dtype=np.complex128)
+    residues, squares = np.empty((len(a), measured.response.shape[1]), dtype=np.complex128), 0.0
     for channel, (g, weight) in enumerate(zip(measured.response.T, root.T, strict=True)):
         coefficients = least_squares(basis * weight[:, None], (g * weight)[:, None])[:, 0]
         residues[:, channel] = _complex_residues(a, coefficients[:-1])
+        squares += float(np.sum(np.abs(weight * (basis @ coefficients - g)) ** 2))
     size = np.sqrt(np.mean(np.abs(measured.response) ** 2, axis=0))
     peak = np.abs(residues) / np.maximum(np.abs(1 - np.abs(a)), np.finfo(float).eps)[:, None]
     # a negative real a, which no rig has, shows as a pole that oscillates at half the sample rate
     poles = np.asarray(np.log(a) / period).astype(np.complex128)
     strength = np.max(peak / np.where(size > 0, size, 1.0), axis=1)
-    return VectorFit(poles, residues, strength)
+    return VectorFit(poles, residues, strength, squares / measured.response.size)
 
 
-def starting_poles(measured: FrequencyResponse, pairs: int, reals: int = 0, groups: int = 1) -> NDArray[np.complex128]:
-    """Poles from which `maximum_likelihood.fit_poles` starts.
+class FitsByOrder:
+    """Fits of one transfer function with rising order, each computed once: the number of modes, and starting poles.
+
+    Values are weighted by their uncertainty: robust if the peaks of a short test are biased.
 
     Parameters
     ----------
     measured
-        The response; `fit_common_poles` fits it with the least order that has enough oscillating poles within its band.
-    pairs
-        Number of pairs; the strongest ones are used.
-    reals
-        Real poles of each servo. 0: none; 1: a slow pole at the slowest pair's frequency (the servo's integral action);
-        2: also a fast one, whose time constant is half a sample period (the servo's lag).
-    groups
-        Number of servos.
-
-    Returns
-    -------
-    NDArray
-        (pairs + reals groups,) [rad/s], pairs slowest first, then the slow and the fast ones.
-
-    Raises
-    ------
-    AbraceError
-        If too few oscillating poles are found.
+        The response.
     """
-    if pairs < 1 or not 0 <= reals <= 2:
-        raise AbraceError(f"starting poles: {pairs} pairs and {reals} real poles, expected 1 or more, and 0 to 2")
-    found = np.zeros(0, dtype=np.complex128)
-    measured = _strongest_channels(thinned(measured, START_LINES))
-    for order in range(2 * pairs, 2 * pairs + MORE * 2 + 1):
-        # weighted by each line's uncertainty: robust if the peaks of a short test are biased
-        weights = uncertainty_weights(measured.response, measured.sigma)
-        fit = fit_common_poles(measured, order, weights, START_ITERATIONS)
-        found = modes_of(fit, measured)[:pairs]
-        if len(found) == pairs:
-            break
-    else:
+
+    def __init__(self, measured: FrequencyResponse) -> None:
+        self.measured = _strongest_channels(thinned(measured, START_LINES))
+        self._weights = uncertainty_weights(self.measured.response, self.measured.sigma)
+        self._fits: dict[int, VectorFit] = {}
+
+    def of_order(self, order: int) -> VectorFit:
+        """The fit with `order` poles."""
+        if order not in self._fits:
+            self._fits[order] = fit_common_poles(self.measured, order, self._weights, START_ITERATIONS, START_CONVERGED)
+        return self._fits[order]
+
+    def modes(self, order: int) -> NDArray[np.complex128]:
+        """The modes of the fit with `order` poles, the strongest first."""
+        return modes_of(self.of_order(order), self.measured)
+
+    def order(self) -> int:
+        """The least even order whose error is within the uncertainty, or after which it hardly decreases."""
+        best, least, in_vain = 2, np.inf, 0
+        for order in range(2, min(MOST_ORDER, len(self.measured.omega) - 2), 2):
+            misfit = self.of_order(order).misfit
+            in_vain += 1
+            if misfit < BETTER * least:
+                best, least, in_vain = order, misfit, 0
+            if least <= WITHIN or in_vain == IN_VAIN:
+                break
+        return best
+
+    def order_of(self, pairs: int) -> int:
+        """The least order, from 2 `pairs` on, whose fit has so many modes.
+
+        Raises
+        ------
+        AbraceError
+            If too few modes are found.
+        """
+        for order in range(2 * pairs, 2 * pairs + MORE * 2 + 1):
+            found = self.modes(order)
+            if len(found) >= pairs:
+                return order
         raise AbraceError(
-            f"starting poles: {len(found)} oscillating poles between {measured.omega[0]:.3g} and "
-            f"{measured.omega[-1]:.3g} rad/s, expected {pairs}; a longer or stronger test, or fewer pairs, may help"
+            f"starting poles: {len(found)} oscillating poles between {self.measured.omega[0]:.3g} and "
+            f"{self.measured.omega[-1]:.3g} rad/s, expected {pairs}; a longer or stronger test, or fewer pairs, may "
+            "help"
         )
-    found = found[np.argsort(np.abs(found))]
-    slow = -np.abs(found[0]) * APART ** np.arange(groups)
-    fast = np.full(groups, -2 / measured.sample_period)
-    return np.concatenate([found, slow, fast])[: pairs + reals * groups]
+
+    def starting_poles(self, pairs: int, reals: int = 0, groups: int = 1) -> NDArray[np.complex128]:
+        """Poles from which `maximum_likelihood.fit_poles` starts.
+
+        Parameters
+        ----------
+        pairs
+            Number of pairs; the strongest ones are used.
+        reals
+            Real poles of each servo. 0: none; 1: a slow pole at the slowest pair's frequency (the servo's integral
+            action); 2: also a fast one, whose time constant is half a sample period (the servo's lag).
+        groups
+            Number of servos.
+
+        Returns
+        -------
+        NDArray
+            (pairs + reals groups,) [rad/s], pairs slowest first, then the slow and the fast ones.
+
+        Raises
+        ------
+        AbraceError
+            If too few oscillating poles are found.
+        """
+        if pairs < 1 or not 0 <= reals <= 2:
+            raise AbraceError(f"starting poles: {pairs} pairs and {reals} real poles, expected 1 or more, and 0 to 2")
+        found = self.modes(self.order_of(pairs))[:pairs]
+        found = found[np.argsort(np.abs(found))]
+        slow = -np.abs(found[0]) * APART ** np.arange(groups)
+        fast = np.full(groups, -2 / self.measured.sample_period)
+        return np.concatenate([found, slow, fast])[: pairs + reals * groups]
 
 
 def modes_of(fit: VectorFit, measured: FrequencyResponse) -> NDArray[np.complex128]:

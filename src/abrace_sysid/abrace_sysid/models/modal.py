@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import linalg
 
-from abrace_core.linear_model import LinearModel
+from abrace_core.model.linear_model import LinearModel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -78,10 +78,9 @@ def modal_model(estimate: PoleEstimate, provenance: dict[str, Any]) -> LinearMod
 
     Parameters
     ----------
+    provenance
     estimate
         Poles, participation of the inputs (`drive`), and mode shapes.
-    provenance
-        Provenance of the model.
     """
     blocks: list[NDArray[np.float64]] = []
     drives: list[NDArray[np.float64]] = []
@@ -119,7 +118,7 @@ def modal_model(estimate: PoleEstimate, provenance: dict[str, Any]) -> LinearMod
 
 
 def modal_covariance(estimate: PoleEstimate) -> NDArray[np.float64] | None:
-    """Covariance of the parameters of `modal_model`, ordered as in `abrace_core.model_ensemble`; None: not known.
+    """Covariance of the parameters of `modal_model`, ordered as in `abrace_core.model.model_ensemble`; None: not known.
 
     Parameters
     ----------

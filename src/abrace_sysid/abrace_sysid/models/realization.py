@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""State-space models of transfer functions with a common denominator, and their superposition: Eqs. (3) to (7).
+"""State-space models of transfer functions with given poles: Eqs. (3) to (5), the numerators fitted to sampled data.
 
 The poles determine A and B of the modal states. The numerators (order n = m) then are one row of C and D for each
 output. These rows follow from a linear least-squares problem, like the upper half of Eq. (1), but well conditioned at
@@ -18,10 +18,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg
 
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import LinearModel, takes_models
+from abrace_core import AbraceError
+from abrace_core.model.linear_model import LinearModel
 from abrace_sysid.fitting.curve_fit import least_squares
-from abrace_sysid.fitting.modal_states import modal_states
 from abrace_sysid.spectra.frequency_response import FrequencyResponse, sampled_response
 
 if TYPE_CHECKING:
@@ -63,48 +62,30 @@ def realize(
     return replace(states, c=rows[:, :-1], d=rows[:, -1:], outputs=outputs)
 
 
-@takes_models
-def unexplained(model: LinearModel, measured: FrequencyResponse) -> NDArray[np.float64]:
-    """(channels,) rms of modelled minus measured response over the lines, as a share of the rms of the measured one.
+def modal_states(poles: NDArray[np.complex128], input_name: str, delay: float = 0.0) -> LinearModel:
+    """A model whose outputs are its own modal states and, last, the (delayed) input itself.
 
     Parameters
     ----------
-    model
-        Continuous, with the input and outputs of `measured`.
-    measured
-        Transfer function as estimated, with hold and delays.
+    input_name
+    poles
+        [rad/s], real or in conjugate pairs, all distinct.
+    delay
+        Delay of the input [s].
     """
-    left_over = sampled_response(model.select(measured.outputs), measured) - measured.response
-    return np.asarray(
-        np.sqrt(np.mean(np.abs(left_over) ** 2, axis=0) / np.mean(np.abs(measured.response) ** 2, axis=0))
-    )
-
-
-@takes_models
-def superpose(parts: Sequence[LinearModel], inputs: tuple[str, ...], outputs: tuple[str, ...]) -> LinearModel:
-    """Parallel connection z = z1 + z2 + ...: Eqs. (6) and (7).
-
-    A part contributes zero for those of the `inputs` and `outputs` that it lacks.
-
-    Raises
-    ------
-    AbraceError
-        If two parts have different delays for the same input.
-    """
-    a = linalg.block_diag(*(part.a for part in parts))
-    b, c = np.zeros((len(a), len(inputs))), np.zeros((len(outputs), len(a)))
-    d = np.zeros((len(outputs), len(inputs)))
-    delay: dict[str, float] = {}
-    start = 0
-    for part in parts:
-        states = slice(start, start + part.order)
-        rows = [outputs.index(name) for name in part.outputs]
-        columns = [inputs.index(name) for name in part.inputs]
-        b[states, columns] = part.b
-        c[rows, states] = part.c
-        d[np.ix_(rows, columns)] += part.d
-        for name, seconds in zip(part.inputs, part.input_delay, strict=True):
-            if delay.setdefault(name, seconds) != seconds:
-                raise AbraceError(f"superposition: input {name} is delayed by {delay[name]} s and by {seconds} s")
-        start += part.order
-    return LinearModel(a, b, c, d, inputs, outputs, input_delay=tuple(delay.get(name, 0.0) for name in inputs))
+    blocks: list[NDArray[np.float64]] = []
+    drive: list[float] = []
+    for pole in poles:
+        if pole.imag > 0:
+            blocks.append(np.array([[pole.real, pole.imag], [-pole.imag, pole.real]]))
+            drive += [1.0, 0.0]
+        elif pole.imag == 0:
+            blocks.append(np.array([[pole.real]]))
+            drive.append(1.0)
+    a = linalg.block_diag(*blocks)
+    n = len(a)
+    if n != len(poles):
+        raise AbraceError(f"modal states: {len(poles)} poles make {n} states, expected conjugate pairs")
+    c, d = np.vstack([np.eye(n), np.zeros((1, n))]), np.vstack([np.zeros((n, 1)), np.ones((1, 1))])
+    names = (*(f"state{i + 1}" for i in range(n)), "direct")
+    return LinearModel(a, np.array(drive)[:, None], c, d, (input_name,), names, input_delay=(delay,))

@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg
 
-from abrace_core.errors import AbraceError
-from abrace_core.linear_model import takes_models
+from abrace_core import AbraceError
+from abrace_core.model.linear_model import balanced, takes_models
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
-    from abrace_core.linear_model import LinearModel
+    from abrace_core.model.linear_model import LinearModel
 
 SIGNIFICANT = 0.01
 """Without a given order a state is kept if its Hankel singular value is at least this share of the greatest."""
@@ -47,7 +47,7 @@ class Scales:
 
 @dataclass(frozen=True)
 class Reduction:
-    """A reduced model and the Hankel singular values of the model before reduction.
+    """A reduced model, the model before reduction, and its Hankel singular values.
 
     Parameters
     ----------
@@ -58,12 +58,8 @@ class Reduction:
     """
 
     model: LinearModel
+    whole: LinearModel
     hankel_singular_values: NDArray[np.float64]
-
-    @property
-    def error_bound(self) -> float:
-        """Upper bound of the frequency response's error, in balancing units: twice the sum of the values left out."""
-        return float(2 * self.hankel_singular_values[self.model.order :].sum())
 
 
 @takes_models
@@ -74,12 +70,11 @@ def typical_scales(model: LinearModel, band: tuple[float, float], intensity: Map
 
     Parameters
     ----------
+    intensity
     model
         Continuous model.
     band
         [Hz].
-    intensity
-        Rms of each input by name.
     """
     inputs = np.array([intensity[name] for name in model.inputs])
     omega, share = _white_noise(band)
@@ -111,9 +106,8 @@ def balanced_truncation(model: LinearModel, states: int, scales: Scales) -> Redu
     """
     if model.sample_period or not model.is_stable():
         raise AbraceError("balanced truncation: expected a continuous, stable model")
-    # balance A: states in different units differ by many powers of ten, and rounding should affect only weak states
-    _, (size, _) = linalg.matrix_balance(model.a, permute=False, separate=True)
-    model = replace(model, a=model.a * size / size[:, None], b=model.b / size[:, None], c=model.c * size)
+    whole = model
+    model = balanced(model)  # rounding should affect only weak states
     b, c = model.b * scales.inputs, model.c / scales.outputs[:, None]
     controllability = _gramian_root(model.a, b)
     observability = _gramian_root(model.a.T, c.T)
@@ -132,72 +126,7 @@ def balanced_truncation(model: LinearModel, states: int, scales: Scales) -> Redu
         raise AbraceError(
             f"balanced truncation to {states} states: the reduced model is unstable, expected another order"
         )
-    return Reduction(reduced, hankel)
-
-
-@dataclass(frozen=True)
-class OrderErrors:
-    """Errors of the reduced models of each order.
-
-    Parameters
-    ----------
-    orders
-        (n,) numbers of states of the reduced models.
-    achieved
-        (n, outputs, inputs) relative error of each channel, as `relative_errors` gives it; NaN where that order has no
-        stable reduced model.
-    """
-
-    orders: NDArray[np.int64]
-    achieved: NDArray[np.float64]
-
-
-@takes_models
-def relative_errors(model: LinearModel, reduced: LinearModel, band: tuple[float, float]) -> NDArray[np.float64]:
-    """Rms error of each output over its rms, under each input alone as white noise within a band (relative H2 norm).
-
-    Parameters
-    ----------
-    model, reduced
-        Continuous, with the same inputs and outputs.
-    band
-        [Hz].
-
-    Returns
-    -------
-    NDArray
-        (outputs, inputs); NaN where `model` gives no response at all.
-    """
-    omega, share = _white_noise(band)
-    whole = model.frequency_response(omega)
-    difference = reduced.frequency_response(omega) - whole
-    error, size = (np.einsum("fpm,f->pm", np.abs(response) ** 2, share) for response in (difference, whole))
-    return np.sqrt(np.divide(error, size, out=np.full_like(size, np.nan), where=size > 0))
-
-
-@takes_models
-def errors_by_order(model: LinearModel, scales: Scales, band: tuple[float, float]) -> OrderErrors:
-    """Errors of the reduced models of every possible order.
-
-    Parameters
-    ----------
-    model
-        The model to be reduced, as in `balanced_truncation`.
-    scales
-        The balancing units.
-    band
-        Band [Hz] of the white noise under which the errors are computed.
-    """
-    hankel = balanced_truncation(model, 1, scales).hankel_singular_values
-    orders = np.arange(1, int(np.sum(hankel > NEGLIGIBLE * hankel[0])) + 1)
-    achieved = np.full((len(orders), len(model.outputs), len(model.inputs)), np.nan)
-    for i, states in enumerate(orders):
-        try:
-            reduced = balanced_truncation(model, int(states), scales).model
-        except AbraceError:
-            continue  # unstable by rounding: the last value kept and the first left out are equal
-        achieved[i] = relative_errors(model, reduced, band)
-    return OrderErrors(orders, achieved)
+    return Reduction(reduced, whole, hankel)
 
 
 def _white_noise(band: tuple[float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,46 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node `ambient`: identifies modes from bags of tests without commands, and detects changes of the building.
 
-abrace run abrace_sysid ambient --ros-args -p bag:=bags/after -p before:=bags/before -p output:=results/ambient
+abrace run abrace_sysid ambient --ros-args -p test:=bags/after -p before:=bags/before -p output:=results/ambient
 """
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from abrace_bags import read_runs
-from abrace_core.drawing import save_figure
-from abrace_core.errors import AbraceError
-from abrace_core.files import write_text
-from abrace_core.node import AbraceNode, Parameter, run
-from abrace_sysid.ambient.change import BuildingChange, compare_tests
-from abrace_sysid.ambient.recorded import ambient_test
-from abrace_sysid.figures import ambient as figures
+from abrace_core.figures.saving import save_figure
+from abrace_core.files.writing import write_json
+from abrace_node.node import AbraceNode
+from abrace_node.parameters import Parameter, parameters_of
+from abrace_node.process import run
+from abrace_sysid.ambient.change import compared_tests
+from abrace_sysid.ambient.modes import AmbientOptions, ambient_test
+from abrace_sysid.figures.ambient import ambient_stabilization
+from abrace_sysid.results import PAIRS
 
 if TYPE_CHECKING:
-    from abrace_sysid.ambient.modes import AmbientMode, AmbientTest
+    from abrace_sysid.ambient.change import BuildingChange
+    from abrace_sysid.ambient.modes import AmbientTest
+    from abrace_sysid.recorded.test import Test
 
 PARAMETERS = [
-    Parameter("bag", [], "bag, or list of bags, of a test without commands", element=str, required=True),
-    Parameter("before", [], "bags of an earlier test, to compare with; empty: none", element=str),
-    Parameter("channels", [], "outputs to use, as a1; empty: all accelerations", element=str),
-    Parameter(
-        "band",
-        [],
-        "Hz, lowest and highest frequency of modes; empty: 0.3 to 20 times the slowest resonance, that of `before` "
-        "where it is given",
-        element=float,
-        minimum=0.0,
-    ),
-    Parameter("highest_order", 40, "greatest number of poles that is tried", minimum=4, maximum=200),
-    Parameter("output", "", "folder for ambient.json and figures", required=True),
+    Parameter("test", [], "bag or table of a test without commands, or a list", element=str, required=True),
+    Parameter("before", [], "those of an earlier test, to compare with; empty: none", element=str),
+    *parameters_of(AmbientOptions),
+    Parameter("output", "", "folder for ambient.json and its figure", required=True),
 ]
 
 
-class Ambient(AbraceNode):
+class AmbientNode(AbraceNode):
     """Identifies the modes of one building, then ends."""
 
     def __init__(self) -> None:
@@ -48,38 +41,33 @@ class Ambient(AbraceNode):
 
     def work(self) -> None:
         """Read, identify, compare, write, draw."""
-        given = self.parameters
-        if len(given.band) not in (0, 2):
-            raise AbraceError(f"parameter band: {given.band}, expected two frequencies in Hz")
-        band = (given.band[0], given.band[1]) if given.band else None
-        before = self.test(given.before, band) if given.before else None
-        # both tests in one band, or a difference could be that of the bands
-        found = self.test(given.bag, before.band if before else band)
-        self.show(found)
-        content = _as_json(found)
-        drawings = {"ambient_stabilization": figures.ambient_stabilization(found)}
-        if before:
-            change = compare_tests(before, found)
-            content["change"] = _change_as_json(before, change)
-            drawings["building_change"] = figures.building_change(change)
-            self.tell(change)
-        output = Path(given.output)
-        write_text(output / "ambient.json", json.dumps(content, indent=1) + "\n")
-        for name, figure in drawings.items():
-            save_figure(figure, output / f"{name}.png")
-        print(f"wrote {output}")
-
-    def test(self, bags: list[str], band: tuple[float, float] | None) -> AmbientTest:
-        """Identify modes from bags, within a band [Hz]."""
-        print(f"reading {', '.join(bags)}", flush=True)
-        given = self.parameters
-        runs = [one for bag in bags for one in read_runs(bag)]
-        found, warnings = ambient_test(runs, given.channels, band, given.highest_order)
-        for warning in (*(text for one in runs for text in one.facts.get("warnings", [])), *warnings):
-            self.get_logger().warning(warning)
+        given, options = self.parameters, AmbientOptions.of_values(self.parameters)
+        before = None
+        if given.before:
+            found, before, change = compared_tests(
+                self.read(given.test, options), self.read(given.before, options), options
+            )
+        else:
+            found = ambient_test(self.read(given.test, options), options)
         if not found.modes:
             self.get_logger().warning(f"{found.source}: no mode from {found.band[0]:.3g} to {found.band[1]:.3g} Hz")
-        return found
+        self.show(found)
+        content = _as_json(found)
+        if before:
+            content["change"] = _change_as_json(before, change)
+            self.tell(change)
+        output = Path(given.output)
+        write_json(output / "ambient.json", content)
+        save_figure(ambient_stabilization(found), output / "ambient_stabilization.svg")
+        print(f"wrote {output}")
+
+    def read(self, bags: list[str], options: AmbientOptions) -> tuple[Test, ...]:
+        """Read bags and tables, and log their warnings."""
+        print(f"reading {', '.join(bags)}", flush=True)
+        tests = options.read(bags)
+        for warning in (text for one in tests for text in one.warnings):
+            self.get_logger().warning(warning)
+        return tests
 
     def show(self, found: AmbientTest) -> None:
         """Print the modes."""
@@ -106,28 +94,20 @@ class Ambient(AbraceNode):
         for name, modes in (("not found any more", change.gone), ("not found before", change.new)):
             for one in modes:
                 print(f"  {one.frequency / (2 * math.pi):8.4f} Hz: {name}")
-        print("the building has changed" if change.changed else "no change beyond chance")
+        print(change.words)
 
 
 def _as_json(found: AmbientTest) -> dict[str, Any]:
+    pairs = PAIRS.dump_python({"modes": tuple(mode.interval for mode in found.modes)}, by_alias=True)
     return {
         "source": found.source,
         "seconds": found.seconds,
         "channels": list(found.channels),
         "band": list(found.band),
-        "modes": [_mode_as_json(mode) for mode in found.modes],
-    }
-
-
-def _mode_as_json(mode: AmbientMode) -> dict[str, Any]:
-    one = mode.interval
-    return {
-        "frequency": one.frequency,
-        "damping_ratio": one.damping,
-        "frequency_deviation": one.frequency_deviation,
-        "damping_ratio_deviation": one.damping_deviation,
-        "shape": [[value.real, value.imag] for value in mode.shape.tolist()],
-        "orders": mode.orders,
+        "modes": [
+            pair | {"shape": [[value.real, value.imag] for value in mode.shape.tolist()], "orders": mode.orders}
+            for pair, mode in zip(pairs["modes"], found.modes, strict=True)
+        ],
     }
 
 
@@ -153,4 +133,4 @@ def _change_as_json(before: AmbientTest, change: BuildingChange) -> dict[str, An
 
 def main() -> int:
     """Entry point."""
-    return run(Ambient)
+    return run(AmbientNode)

@@ -1,33 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node `validate`: compares a recorded test with its simulation, with the same test without control, or both.
 
-abrace run abrace_sysid validate --ros-args -p bag:=bags/first -p model:=model/model.json -p output:=check
+abrace run abrace_sysid validate --ros-args -p test:=bags/first -p model:=model/model.json -p output:=check
 """
 
 from __future__ import annotations
 
-import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from abrace_bags import read_run
-from abrace_core import signals
-from abrace_core.controller_file import load_controller
-from abrace_core.drawing import save_figure
-from abrace_core.errors import AbraceError
-from abrace_core.files import write_text
-from abrace_core.linear_model import LinearModel, load_model
-from abrace_core.node import AbraceNode, Parameter, run
-from abrace_core.response import PeakRms, clipped_sentences, in_paper_units, paper_unit, peak_rms, unit_system
-from abrace_core.run import Run
+from abrace_core import AbraceError
+from abrace_core.figures.saving import save_figure
+from abrace_core.files.writing import write_json
+from abrace_core.model import signals
+from abrace_core.model.controller_file import load_controller
+from abrace_core.model.linear_model import LinearModel, load_model
+from abrace_core.model.response import PeakRms, clipped_sentences, in_paper_units, paper_unit, peak_rms, unit_system
+from abrace_core.model.run import Run
+from abrace_node.node import AbraceNode
+from abrace_node.parameters import Parameter
+from abrace_node.process import run
 from abrace_sysid.figures import validation as figures
-from abrace_sysid.nonlinear.elements import Nonlinearity
 from abrace_sysid.validation import Comparison, compare, predicted
 
 PARAMETERS = [
-    Parameter("bag", "", "bag of the test to compare", required=True),
+    Parameter("test", "", "bag of the test to compare", required=True),
     Parameter("model", "", "model file (JSON) to simulate with; empty: only against the test without control"),
     Parameter("other_models", [], "further model files to simulate with, compared in the same way", element=str),
     Parameter("controller", "", "controller file of the test; empty: the recorded command drives the model"),
@@ -39,7 +40,7 @@ BEFORE, ZOOM = 5.0, 20.0
 """The enlarged part of the figure begins BEFORE seconds ahead of the ground motion's peak and lasts ZOOM seconds."""
 
 
-class Validate(AbraceNode):
+class ValidateNode(AbraceNode):
     """Compares one test, then ends."""
 
     def __init__(self) -> None:
@@ -50,7 +51,7 @@ class Validate(AbraceNode):
         given = self.parameters
         models = {Path(path).stem: load_model(path) for path in (given.model, *given.other_models) if given.model}
         print("reading the bags", flush=True)
-        test = self.read(given.bag)
+        test = self.read(given.test)
         uncontrolled = self.read(given.uncontrolled) if given.uncontrolled else None
         if not given.model and not uncontrolled:
             raise AbraceError("parameter model: empty, expected a model file (JSON), or a bag for uncontrolled")
@@ -78,18 +79,18 @@ class Validate(AbraceNode):
                 "validity": judged.content,
                 "other_models": {name: _simulated(comparisons[name]) for name in others},
             }
-        write_text(output / "comparison.json", json.dumps(content, indent=1))
+        write_json(output / "comparison.json", content)
         if given.model:
             shown = comparisons[first]
             strongest = shown.time[np.argmax(np.abs(test.ground_acceleration))]
             begin = max(shown.time[0], strongest - BEFORE)
             zoom = (begin, min(begin + ZOOM, shown.time[-1]))
-            drawing = figures.time_histories(shown, [f"x{top}", "a1"], zoom, units, _tested(test))
-            save_figure(drawing, output / "figure_6_time_histories.png")
+            drawing = figures.time_histories(shown, signals.most_telling(shown.names), zoom, units, _tested(test))
+            save_figure(drawing, output / "figure_6_time_histories.svg")
             _print(comparisons)
         if uncontrolled:
             drawing = figures.control_effect(uncontrolled, test, [f"x{top}", f"a{top}"], units, _tested(test))
-            save_figure(drawing, output / "uncontrolled_and_controlled.png")
+            save_figure(drawing, output / "uncontrolled_and_controlled.svg")
         print(f"wrote {output}")
         if judged:
             print(f"validity: {judged.verdict.words}: {judged.meaning}")
@@ -105,17 +106,11 @@ class Validate(AbraceNode):
 
     def simulate(self, test: Run, models: dict[str, LinearModel]) -> dict[str, Comparison]:
         """Simulate the test by each model, in closed loop if a controller is given."""
-        law, limit, correction = None, np.full(test.groups, np.inf), None
+        law: tuple[Any, Any, Any] = (None, None, None)
         if self.parameters.controller:
             controller = load_controller(self.parameters.controller)
-            law, limit, correction = controller.law, controller.force_limit, controller.correction
-        found = {}
-        for name, model in models.items():
-            found[name] = compare(test, model, law, limit, correction)
-            not_linear = Nonlinearity.of_model(model)
-            if not_linear is not None:
-                found[f"with {not_linear.kinds}"] = compare(test, model, law, limit, correction, not_linear)
-        return found
+            law = controller.law, controller.force_limit, controller.correction
+        return {name: compare(test, model, *law) for name, model in models.items()}
 
 
 def _tested(run: Run) -> str:
@@ -126,24 +121,17 @@ def _tested(run: Run) -> str:
 
 
 def _simulated(comparison: Comparison) -> dict[str, Any]:
-    return {"simulated_vs_measured": _agreement(comparison), "peak_rms_error": comparison.peak_rms_error()}
+    agreement = {name: asdict(one) for name, one in comparison.agreement().items()}
+    return {"simulated_vs_measured": agreement, "peak_rms_error": comparison.peak_rms_error()}
 
 
 def _print(comparisons: dict[str, Comparison]) -> None:
     for label, one in comparisons.items():
-        print(f"{label}: error of peaks and rms {one.peak_rms_error():.4f}")
+        error_of_all = one.peak_rms_error()
+        print(f"{label}: error of peaks and rms {'unknown' if error_of_all is None else f'{error_of_all:.4f}'}")
         print("channel  correlation  rms error / rms  without sensor noise")
-        for name, row in _agreement(one).items():
-            error, noise_free = row["normalised_rms_error"], row["noise_free_error"]
-            print(f"{name:8} {row['correlation']:11.4f}  {error:15.4f}  {noise_free:20.4f}")
-
-
-def _agreement(comparison: Comparison) -> dict[str, dict[str, float]]:
-    error, noise_free = comparison.normalised_rms_error(), comparison.noise_free_error()
-    return {
-        name: {"correlation": value, "normalised_rms_error": error[name], "noise_free_error": noise_free[name]}
-        for name, value in comparison.correlation().items()
-    }
+        for name, row in one.agreement().items():
+            print(f"{name:8} {row.correlation:11.4f}  {row.normalised_rms_error:15.4f}  {row.noise_free_error:20.4f}")
 
 
 def _table(rows: dict[str, PeakRms]) -> dict[str, dict[str, float]]:
@@ -152,4 +140,4 @@ def _table(rows: dict[str, PeakRms]) -> dict[str, dict[str, float]]:
 
 def main() -> int:
     """Entry point."""
-    return run(Validate)
+    return run(ValidateNode)

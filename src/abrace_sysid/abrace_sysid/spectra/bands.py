@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
-from abrace_core import signals
-from abrace_core.run import Run
-from abrace_sysid.spectra.fourier import held_input, lines_within, transform
+from abrace_sysid.spectra.fourier import lines_within
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from abrace_sysid.measured_data import MeasuredData
+    from abrace_sysid.recorded.test import Test
+
 
 EXCITED = 0.02
 """A line is excited if its power exceeds this share of the mean power of the lines that carry the excitation."""
@@ -29,31 +28,58 @@ LOWEST = 0.25
 EXPECTED_DAMPING = 0.015
 """Expected damping ratio of the slowest resonance."""
 
+STEADY, AROUND = 2e-3, 21
+"""An input is excited where its power, averaged over so many lines, is above this share of the greatest."""
+
 SMOOTHED = 9
 """Number of lines over which power is averaged before the slowest resonance is searched."""
 
 
-def excited_band(run: Run, name: str) -> tuple[float, float]:
+def excited_band(test: Test, name: str) -> tuple[float, float]:
     """Lowest and highest frequency [Hz] that an input excites.
 
     Parameters
     ----------
-    run
-        The test.
+    test
     name
         The input; for an input that is zero, 0 and half the sample rate are returned.
     """
-    excitation = np.nan_to_num(held_input(run, name), posinf=0.0, neginf=0.0)
-    power = np.abs(transform(excitation[:, None])[:, 0]) ** 2
-    frequency = np.arange(len(power)) / (len(excitation) * run.sample_period)
+    power = np.abs(test.spectra([name])[:, 0]) ** 2
+    frequency = np.arange(len(power)) / test.seconds
     if not power.any():
-        return 0.0, 0.5 / run.sample_period
+        return 0.0, 0.5 / test.sample_period
     # for noise the power's mean weighted by itself is twice the mean power of the excited lines
     excited = frequency[power > EXCITED * np.sum(power**2) / np.sum(power) / 2]
     return float(excited[0]), float(excited[-1])
 
 
-def common_band(runs: Sequence[Run], names: Sequence[str]) -> tuple[float, float]:
+def steady_band(test: Test, names: Sequence[str], lowest: float) -> tuple[float, float]:
+    """The widest band [Hz] from `lowest` on in which all of these inputs are excited without a gap.
+
+    Parameters
+    ----------
+    test
+    names
+        Names of the inputs; one that is constant does not count, and is refused where it is used.
+    lowest
+        Lowest frequency [Hz].
+    """
+    frequency = np.arange(len(test.outputs) // 2 + 1) / test.seconds
+    first = int(np.searchsorted(frequency, lowest))
+    excited = np.ones(len(frequency), dtype=np.bool_)
+    for name in names:
+        power = np.abs(test.spectra([name])[:, 0]) ** 2
+        smooth = ndimage.uniform_filter1d(power, AROUND, mode="nearest")
+        excited &= smooth >= STEADY * smooth[first:].max(initial=0.0)
+    excited[:first] = False
+    edges = np.flatnonzero(np.diff(excited.astype(np.int8), prepend=0, append=0))
+    if not len(edges):
+        return lowest, 0.5 / test.sample_period
+    start, end = max(zip(edges[::2], edges[1::2], strict=True), key=lambda edge: edge[1] - edge[0])
+    return max(lowest, float(frequency[start])), min(float(frequency[end - 1]), 0.5 / test.sample_period)
+
+
+def common_band(tests: Sequence[Test], names: Sequence[str]) -> tuple[float, float]:
     """The overlap of the excited bands of all tests and inputs; inputs that are zero do not count.
 
     The band begins at the higher of two limits: where LEAST_PERIODS fit into the longest test, and LOWEST times the
@@ -61,41 +87,39 @@ def common_band(runs: Sequence[Run], names: Sequence[str]) -> tuple[float, float
 
     Parameters
     ----------
-    runs
-        The tests, at least one.
     names
-        Names of the inputs.
+    tests
+        The tests, at least one.
     """
-    moving = [(run, name) for run in runs for name in names if np.any(held_input(run, name))]
-    bands = [excited_band(run, name) for run, name in moving or [(runs[0], names[0])]]
+    moving = [(test, name) for test in tests for name in names if np.any(test.channel(name))]
+    bands = [excited_band(test, name) for test, name in moving or [(tests[0], names[0])]]
     low, high = max(low for low, _ in bands), min(high for _, high in bands)
-    longest = max(runs, key=lambda run: len(run.outputs))
+    longest = max(tests, key=lambda test: len(test.outputs))
     low = max(low, LEAST_PERIODS / (len(longest.outputs) * longest.sample_period))
     if low >= high:
         return low, high
     return max(low, LOWEST * slowest_resonance(longest, (low, high))), high
 
 
-def slowest_resonance(run: Run | MeasuredData, band: tuple[float, float]) -> float:
+def slowest_resonance(test: Test, band: tuple[float, float]) -> float:
     """Frequency [Hz] of the greatest displacement spectrum, median over floors (measured data: all outputs).
 
     Parameters
     ----------
-    run
-        The test.
+    test
     band
         Lowest and highest frequency [Hz].
     """
-    lines, omega = lines_within(run, len(run.outputs), band)
-    floors = signals.response_names(run.floors, 0)[: run.floors] if isinstance(run, Run) else run.names
-    power = np.abs(transform(np.nan_to_num(run.channels(floors), posinf=0.0, neginf=0.0))[lines]) ** 2
+    lines, omega = lines_within(test, len(test.outputs), band)
+    floors = [name for name in test.names if name[0] == "x" and name[1:].isdigit()] if test.floors else test.names
+    power = np.abs(test.spectra(floors)[lines]) ** 2
     smooth = ndimage.uniform_filter1d(power, min(SMOOTHED, len(lines)), axis=0, mode="nearest")
     return float(np.median(omega[np.argmax(smooth, axis=0)])) / (2 * np.pi)
 
 
-def slowest_bandwidth(run: Run | MeasuredData, band: tuple[float, float]) -> float:
+def slowest_bandwidth(test: Test, band: tuple[float, float]) -> float:
     """Half-power bandwidth 2 zeta omega [rad/s] of the slowest resonance, with EXPECTED_DAMPING as zeta.
 
-    `run`, `band`: as in `slowest_resonance`.
+    `test`, `band`: as in `slowest_resonance`.
     """
-    return 2 * EXPECTED_DAMPING * 2 * np.pi * slowest_resonance(run, band)
+    return 2 * EXPECTED_DAMPING * 2 * np.pi * slowest_resonance(test, band)

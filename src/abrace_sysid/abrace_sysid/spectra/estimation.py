@@ -7,28 +7,35 @@ Welch's method. Periodic tests have their own method (`periodic_response`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
-from abrace_core.errors import AbraceError
+import numpy as np
+from pydantic import Field
+
+from abrace_core.files.options import Count, Options
+from abrace_sysid.recorded.test import of_one_rig
 from abrace_sysid.spectra.bands import slowest_bandwidth
-from abrace_sysid.spectra.fourier import ORDER, Test, automatic_half_width, runs_of_one_rig
-from abrace_sysid.spectra.local_polynomial import local_responses
-from abrace_sysid.spectra.welch import Estimator, welch
+from abrace_sysid.spectra.fourier import ORDER, WIDEST, automatic_half_width, lines_within
+from abrace_sysid.spectra.frequency_response import FrequencyResponse
+from abrace_sysid.spectra.local_regression import check_window, fit_locally
+from abrace_sysid.spectra.welch import check_segment, welch
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
-    from abrace_sysid.spectra.frequency_response import FrequencyResponse
+    from abrace_sysid.recorded.test import AnyTest, Test
+
 
 LONGEST_SEGMENT = 32768
 """Default number of samples in a segment of Welch's method: 65 s at 500 Hz, a frequency resolution of 0.015 Hz."""
 
+POLYNOMIAL = 4, 6
+"""Default order and half-width of the local polynomial method."""
+
 Method = Literal["local_rational", "local_polynomial", "welch"]
 
 
-@dataclass(frozen=True)
-class TransferFunctionOptions:
+class TransferFunctionOptions(Options):
     """A method and its settings; a setting of 0 is chosen from the record's length.
 
     The default is the local rational method, which was best for every length of record. The table gives the rms error
@@ -42,35 +49,41 @@ class TransferFunctionOptions:
     local polynomial              40, 32        8.4, 11       0.96, 2.2     0.44, 1.4
     local rational, automatic     0.23, 0.82    0.17, 0.62    0.16, 0.60    0.16, 0.59
     ============================  ============  ============  ============  ============
-
-    Parameters
-    ----------
-    method
-        "local_rational", "local_polynomial" or "welch".
-    order, half_width
-        Settings of the local methods: order of the polynomials, and half-width of the windows in lines. By default 2
-        and `automatic_half_width` for the rational method, 4 and 6 for the polynomial method.
-    segment
-        Samples in each segment of Welch's method. By default 32768, or a quarter of a shorter record.
-    window, overlap, estimator
-        Settings of Welch's method, see `welch`.
-    bandwidth
-        Half-power bandwidth 2 zeta omega [rad/s] of the narrowest expected resonance; 0: `slowest_bandwidth` of the
-        first test.
     """
 
-    method: Method = "local_rational"
-    order: int = 0
-    half_width: int = 0
-    segment: int = 0
-    window: str = "hann"
-    overlap: float = 0.5
-    estimator: Estimator = "H1"
-    bandwidth: float = 0.0
+    who: ClassVar[str] = "transfer functions"
+
+    transfer_function: Method = Field(default="local_rational", description="how transfer functions are estimated")
+    segment: Count = Field(default=0, description="samples of a segment in Welch's method; 0: from the record's length")
+    order: Count = Field(default=0, description="order of the local methods' polynomials; 0: 2 rational, 4 polynomial")
+    half_width: Count = Field(default=0, description="lines on each side in the local methods; 0: from the record")
+
+    def require_samples(self, samples: Mapping[str, int], lines: float) -> None:
+        """Check that the settings suit noise tests of so many `samples`, by the tests' names, with one input at least.
+
+        Parameters
+        ----------
+        lines
+            Number of lines of the shortest one in the band, at most.
+
+        Raises
+        ------
+        AbraceError
+            If they do not; a setting that is chosen from the record always does.
+        """
+        if self.transfer_function == "welch":
+            if self.segment:
+                check_segment(self.segment, samples)
+            return
+        shortest, rational = min(samples.values()), self.transfer_function == "local_rational"
+        records = sum(each // shortest for each in samples.values())
+        half_width = self.half_width or (WIDEST if rational else POLYNOMIAL[1])
+        order = self.order or (ORDER if rational else POLYNOMIAL[0])
+        check_window(order, half_width, lines if self.half_width else np.inf, 1, records, 1 if rational else 0)
 
 
 def frequency_responses(
-    run: Test | Sequence[Test],
+    given: AnyTest | Sequence[AnyTest],
     inputs: Sequence[str],
     band: tuple[float, float],
     options: TransferFunctionOptions | None = None,
@@ -79,10 +92,7 @@ def frequency_responses(
 
     Parameters
     ----------
-    run
-        The test, or repeated ones.
-    inputs
-        Names of all inputs that were excited.
+    given
     band
         Lowest and highest frequency [Hz]; the inputs must be excited throughout.
     options
@@ -91,21 +101,79 @@ def frequency_responses(
     Raises
     ------
     AbraceError
-        If the tests are too short for the method, or there is no method of that name.
+        If the tests are too short for the method.
     """
     options = options or TransferFunctionOptions()
-    runs = runs_of_one_rig(run)
-    shortest = min(len(each.outputs) for each in runs)
-    if options.method == "welch":
+    tests = of_one_rig(given)
+    shortest = min(len(each.outputs) for each in tests)
+    if options.transfer_function == "welch":
         segment = options.segment or min(LONGEST_SEGMENT, shortest // 4)
-        settings = segment, options.estimator, options.window, options.overlap
-        return tuple(welch(runs, name, band, *settings) for name in inputs)
-    if options.method == "local_polynomial":
-        return local_responses(runs, inputs, band, options.order or 4, options.half_width or 6, poles=0)
-    if options.method == "local_rational":
-        seconds = shortest * runs[0].sample_period
-        bandwidth = options.bandwidth or slowest_bandwidth(runs[0], band)
-        half_width = options.half_width or automatic_half_width(seconds, len(inputs), bandwidth)
-        return local_responses(runs, inputs, band, options.order or ORDER, half_width, poles=1)
-    expected = "'local_rational', 'local_polynomial' or 'welch'"
-    raise AbraceError(f"transfer functions: method {options.method!r}, expected {expected}")
+        return tuple(welch(tests, name, band, segment) for name in inputs)
+    if options.transfer_function == "local_polynomial":
+        order, half_width = options.order or POLYNOMIAL[0], options.half_width or POLYNOMIAL[1]
+        return local_responses(tests, inputs, band, order, half_width, poles=0)
+    seconds = shortest * tests[0].sample_period
+    half_width = options.half_width or automatic_half_width(seconds, len(inputs), slowest_bandwidth(tests[0], band))
+    return local_responses(tests, inputs, band, options.order or ORDER, half_width, poles=1)
+
+
+def local_responses(
+    tests: Sequence[Test],
+    inputs: Sequence[str],
+    band: tuple[float, float],
+    order: int,
+    half_width: int,
+    poles: Literal[0, 1],
+) -> tuple[FrequencyResponse, ...]:
+    """One transfer function for each of the inputs that were excited at once.
+
+    Repeated tests share response and noise level; each has its own transient. Tests of different length are cut into
+    pieces as long as the shortest; the remainder at the end of a test is not used.
+
+    Parameters
+    ----------
+    tests
+        The test, or repeated ones of the same rig.
+    inputs
+        Names of all inputs that were excited; where there are several, they must not be proportional.
+    band
+        Lowest and highest frequency [Hz]; the inputs must be excited throughout.
+    order
+        Order of the polynomials of the response (in the rational method of its numerator) and of the transient.
+    half_width
+        Lines on either side of the centre line; the unknowns are estimated from 2 half_width + 1 lines.
+    poles
+        0: local polynomial method (Schoukens et al. 2009; Pintelon and Schoukens 2012, sec. 7.2); 1: local rational
+        method (McKelvey and Guerin 2012), one pole shared by all channels.
+
+    Raises
+    ------
+    AbraceError
+        If a window has too few lines, the band has fewer lines than a window, or an input is not excited.
+    """
+    samples = min(len(test.outputs) for test in tests)
+    lines, omega = lines_within(tests[0], samples, band)
+    excitation, outputs = [], []
+    for test in tests:
+        starts = range(0, len(test.outputs) - samples + 1, samples)
+        whole = len(test.outputs) == samples
+        for one in (test,) if whole else (test.part(first, first + samples) for first in starts):
+            excitation.append(one.spectra(inputs)[lines])
+            outputs.append(one.spectra(one.names)[lines])
+    response, sigma = fit_locally(np.array(excitation), np.array(outputs), order, half_width, poles)
+    method = f"local {'rational' if poles else 'polynomial'} method, order {order}, half-width {half_width}"
+    if len(excitation) > 1:
+        method += f", {len(excitation)} records"
+    return tuple(
+        FrequencyResponse(
+            name,
+            tests[0].names,
+            omega,
+            np.ascontiguousarray(response[:, :, i]),
+            np.ascontiguousarray(sigma[:, :, i]),
+            tests[0].sample_period,
+            method,
+            tests[0].hold_of(name),
+        )
+        for i, name in enumerate(inputs)
+    )

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -42,13 +42,35 @@ def least_half_width(order: int, inputs: int = 1, records: int = 1) -> int:
 
     Parameters
     ----------
+    inputs, records
     order
         Order of the polynomials.
-    inputs, records
-        Number of inputs, and of records.
     """
     lines = (order + 1) * (inputs + records) / records
     return int(lines / 2 + 0.5)
+
+
+def check_window(order: int, half_width: int, lines: float, inputs: int, records: int, poles: Literal[0, 1]) -> None:
+    """Check that windows fit into a band, and have lines enough for their unknowns.
+
+    Parameters
+    ----------
+    inputs, records
+    order, half_width, poles
+        As of `fit_locally`.
+
+    Raises
+    ------
+    AbraceError
+        If not.
+    """
+    method, window = f"local {'rational' if poles else 'polynomial'} method", 2 * half_width + 1
+    least = least_half_width(max(order, 0), inputs, records) + poles
+    if order < 0 or half_width < least:
+        found = f"order {order} and half_width {half_width}"
+        raise AbraceError(f"{method}: {found}, expected order >= 0 and half_width >= {least}")
+    if lines < window:
+        raise AbraceError(f"{method}: {lines:.0f} lines in the band, expected at least {window}")
 
 
 def fit_locally(
@@ -85,14 +107,8 @@ def fit_locally(
     """
     records, lines, inputs = excitation.shape
     channels = outputs.shape[2]
+    check_window(order, half_width, lines, inputs, records, poles)
     window = 2 * half_width + 1
-    method = "local rational method" if poles else "local polynomial method"
-    least = least_half_width(max(order, 0), inputs, records) + poles
-    if order < 0 or half_width < least:
-        found = f"order {order} and half_width {half_width}"
-        raise AbraceError(f"{method}: {found}, expected order >= 0 and half_width >= {least}")
-    if lines < window:
-        raise AbraceError(f"{method}: {lines} lines in the band, expected at least {window}")
     grid = _Grid(excitation, outputs, order, half_width)
     windows = lines - window + 1
     weight = np.zeros(channels)

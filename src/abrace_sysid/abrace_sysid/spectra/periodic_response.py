@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Transfer functions from periodic tests (multisines), with the levels of noise and of nonlinear distortion.
+"""Transfer functions from periodic tests (multisines), with the level of the noise.
 
 P whole periods of the steady response are transformed together. The response to a periodic input, distortion included,
 then appears only at every P-th line ("lines of the period"). The P - 1 lines in between contain noise and the rest of
 the transient. A polynomial fitted to them removes the transient from the line in their middle, and its residual is the
 noise: the fast local polynomial method (Pintelon and Schoukens 2012, sec. 7.3). The free decay of a lightly damped
 mode is narrower than the lines are apart, and no polynomial: where the poles are known, it is removed before. The lines
-of the period that an input excites give its transfer functions; those that no input excites show nonlinear distortion.
+of the period that an input excites give its transfer functions.
 
 Period and length are found from the input: the period is the lag at which the input repeats itself, and the periodic
 part ends where it no longer does. This is exact for a command, and robust for a measured acceleration.
@@ -14,22 +14,20 @@ part ends where it no longer does. This is exact for a command, and robust for a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import fft, ndimage, signal
 
-from abrace_core import signals
-from abrace_core.errors import AbraceError
-from abrace_sysid.spectra.distortion import distortion_beside
-from abrace_sysid.spectra.fourier import held_input
+from abrace_core import AbraceError
+from abrace_sysid.recorded.series import find_period, repeats
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from abrace_core.run import Run
+    from abrace_sysid.recorded.test import Test
+
 
 HALF_WIDTH = 2
 """The transient's polynomial is fitted to the lines in between up to this many lines of the period on either side."""
@@ -43,16 +41,9 @@ EDGE = 50
 START = 4 * EDGE
 """Samples at the beginning of the dropped periods from which no free decay is estimated."""
 
-ALIKE = 0.05
+SAME_PERIOD = 0.05
 """An input repeats itself if its mean square difference from itself a period later is below this share of its mean
 square."""
-
-LEAST_CORRELATION = 0.4
-"""Least correlation of an input with itself a period later; two periods between long rests have 0.5."""
-
-SAME = 0.8
-"""The inputs of two tests are the same realization if their correlation is at least this; with other phases it is near
-0.1."""
 
 LEAST_AMPLITUDE = 0.01
 """A line is excited only if its amplitude is at least this share of the input's strongest line."""
@@ -61,63 +52,22 @@ CERTAIN = 5.0
 """A line is excited only if its amplitude is at least this many standard deviations of the noise."""
 
 
-@dataclass(frozen=True)
-class PeriodicResponse:
-    """The response to one input from a periodic test, with levels of noise and distortion.
-
-    The levels are rms values in each channel's unit, scaled to the number of lines that the input excites. They include
-    the noise: in a linear test `even_distortion` and `odd_distortion` equal `noise`.
-
-    Parameters
-    ----------
-    frequency_response
-        Transfer functions at the excited lines; the standard deviation is that of the noise.
-    periods
-        Number of periods used.
-    period_samples
-        Samples in a period.
-    level
-        (channels,) level of the response at the excited lines.
-    noise
-        (channels,) level of the noise at the lines of the period.
-    even_distortion, odd_distortion
-        (channels,) levels at the even and the odd lines that no input excites; NaN if there is no such line.
-    """
-
-    frequency_response: FrequencyResponse
-    periods: int
-    period_samples: int
-    level: NDArray[np.float64]
-    noise: NDArray[np.float64]
-    even_distortion: NDArray[np.float64]
-    odd_distortion: NDArray[np.float64]
-
-
 def periodic_response(
-    run: Run,
+    test: Test,
     input_name: str,
     band: tuple[float, float],
-    period_samples: int | None = None,
-    dropped: int = 1,
     poles: NDArray[np.complex128] | None = None,
-) -> PeriodicResponse:
-    """Transfer functions from a periodic input at the lines that it excites.
+) -> FrequencyResponse:
+    """Transfer functions from a periodic input at the lines that it excites; their standard deviation is the noise's.
 
-    Other inputs may run at the same time with the same period, on other lines.
+    Other inputs may run at the same time with the same period, on other lines. The first period is left out: the
+    slowest mode's transient decays in it.
 
     Parameters
     ----------
-    run
-        The test, its samples consecutive.
-    input_name
-        The periodic input.
+    test, input_name
     band
         Lowest and highest frequency [Hz].
-    period_samples
-        Samples in a period; None: the longest period found in any input. (An input of even lines alone repeats itself
-        after half a period: give the whole period.)
-    dropped
-        Periods left out at the beginning, at least 1: until the slowest mode's transient has decayed.
     poles
         Of modes [rad/s], one of each pair, whose free decay is estimated from the differences of periods and removed;
         None: the poles are not known.
@@ -127,21 +77,19 @@ def periodic_response(
     AbraceError
         If the input is not periodic, too few periods are left, or another input excites the same lines.
     """
-    if dropped < 1:
-        raise AbraceError(f"periodic response: {dropped} periods dropped, expected at least 1")
-    names = (input_name, *(name for name in (signals.GROUND, *run.command_names) if name != input_name))
-    inputs = np.column_stack([held_input(run, name) for name in names])
-    period_samples, periods, last, repeating = _whole_periods(run.source, names, inputs, period_samples, dropped)
-    recorded = np.hstack([inputs, run.outputs])[max(0, last - (periods + dropped) * period_samples) : last]
+    names = (input_name, *(name for name in test.inputs if name != input_name))
+    inputs = test.channels(names)
+    period_samples, periods, last, repeating = _whole_periods(test.source, names, inputs)
+    recorded = np.hstack([inputs, test.outputs])[max(0, last - (periods + 1) * period_samples) : last]
     if poles is not None:
-        recorded = recorded - _free_decay(recorded, period_samples, poles * run.sample_period)
+        recorded = recorded - _free_decay(recorded, period_samples, poles * test.sample_period)
     recorded = recorded[-periods * period_samples :]
     spectra = fft.fft(recorded, axis=0) * (np.sqrt(2) / len(recorded))
 
-    frequency = np.arange(1, (period_samples + 1) // 2) / (period_samples * run.sample_period)
+    frequency = np.arange(1, (period_samples + 1) // 2) / (period_samples * test.sample_period)
     lines = 1 + np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]))
     if not len(lines):
-        raise AbraceError(f"{run.source}: no line of the period between {band[0]:g} and {band[1]:g} Hz")
+        raise AbraceError(f"{test.source}: no line of the period between {band[0]:g} and {band[1]:g} Hz")
     steady, left_over, uncertainty = _without_transient(spectra, lines, periods)
     count = len(names)
     noise = np.sqrt(np.mean(np.abs(left_over) ** 2, axis=1)) * uncertainty
@@ -152,11 +100,11 @@ def periodic_response(
     exciting = (np.abs(steady[:, :count]) > least) & repeating
     excited = exciting[:, 0]
     if not excited.any():
-        raise AbraceError(f"{run.source}: {input_name} excites no line between {band[0]:g} and {band[1]:g} Hz")
+        raise AbraceError(f"{test.source}: {input_name} excites no line between {band[0]:g} and {band[1]:g} Hz")
     shared = np.argwhere(exciting[:, 1:] & excited[:, None])
     if len(shared):
         raise AbraceError(
-            f"{run.source}: {input_name} and {names[1 + shared[0, 1]]} both excite the line at "
+            f"{test.source}: {input_name} and {names[1 + shared[0, 1]]} both excite the line at "
             f"{frequency[lines[shared[0, 0]] - 1]:.4g} Hz, expected inputs on different lines"
         )
 
@@ -165,90 +113,29 @@ def periodic_response(
     # the response's error is that of the outputs minus the response to the measured input's error
     errors = left_over[excited][:, :, count:] - response[:, None] * left_over[excited][:, :, :1]
     sigma = np.sqrt(np.mean(np.abs(errors) ** 2, axis=1)) * uncertainty / np.abs(excitation)
-    unexcited = ~exciting.any(axis=1)
-    method = f"multisine, {periods} periods of {period_samples} samples, {dropped} dropped"
+    method = f"multisine, {periods} periods of {period_samples} samples, 1 dropped"
     omega = 2 * np.pi * frequency[lines[excited] - 1]
-
-    def level(which: NDArray[np.bool_], amplitudes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(channels,) root mean square over the lines `which`, scaled to as many lines as are excited."""
-        if not which.any():
-            return np.full(amplitudes.shape[1] - count, np.nan)
-        power = np.mean(amplitudes[which, count:] ** 2, axis=0) * np.count_nonzero(excited)
-        return np.asarray(np.sqrt(power))
-
-    beside = distortion_beside(lines, np.abs(steady[:, count:]), np.abs(excitation[:, 0]), excited, unexcited)
-    return PeriodicResponse(
-        FrequencyResponse(input_name, run.names, omega, response, sigma, run.sample_period, method, distortion=beside),
-        periods,
-        period_samples,
-        level(excited, np.abs(steady)),
-        level(excited, noise),
-        level(unexcited & (lines % 2 == 0), np.abs(steady)),
-        level(unexcited & (lines % 2 == 1), np.abs(steady)),
-    )
-
-
-def find_period(excitation: NDArray[np.float64]) -> int | None:
-    """The period [samples] of a signal, or None if it is not periodic.
-
-    The period is the lag of the greatest autocorrelation beyond the first lag at which it is negative.
-
-    Parameters
-    ----------
-    excitation
-        (samples,) of mean zero; may begin and end with rest.
-    """
-    length = fft.next_fast_len(2 * len(excitation), real=True)
-    correlation = fft.irfft(np.abs(fft.rfft(excitation, length)) ** 2, length)[: len(excitation)]
-    negative = np.flatnonzero(correlation < 0)
-    if not len(negative):
-        return None
-    lag = int(negative[0] + np.argmax(correlation[negative[0] :]))
-    return lag if _repeats(excitation, lag) else None
-
-
-def same_realization(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
-    """Whether two tests' inputs are the same signal, apart from level and time of beginning.
-
-    Parameters
-    ----------
-    one, other
-        (samples,) each.
-    """
-    length = fft.next_fast_len(len(one) + len(other), real=True)
-    correlation = fft.irfft(fft.rfft(one, length) * fft.rfft(other, length).conj(), length)
-    size = np.sqrt((one @ one) * (other @ other))
-    shorter, longer = sorted((len(one), len(other)))
-    return bool(np.abs(correlation).max() > SAME * size * np.sqrt(shorter / longer))
+    return FrequencyResponse(input_name, test.names, omega, response, sigma, test.sample_period, method)
 
 
 def _whole_periods(
-    source: str, names: tuple[str, ...], inputs: NDArray[np.float64], period_samples: int | None, dropped: int
+    source: str, names: tuple[str, ...], inputs: NDArray[np.float64]
 ) -> tuple[int, int, int, list[bool]]:
-    """Samples in a period, number of periods to use, the sample after the last, and which inputs are periodic."""
+    """Samples in the longest period, periods to use, the sample after the last, and which inputs are periodic."""
     flattened = signal.detrend(inputs, axis=0)
-    if period_samples is None:
-        period_samples = max(find_period(excitation) or 0 for excitation in flattened.T)
-    repeating = [_repeats(excitation, period_samples) for excitation in flattened.T]
+    period_samples = max(find_period(excitation) or 0 for excitation in flattened.T)
+    repeating = [repeats(excitation, period_samples) for excitation in flattened.T]
     if not repeating[0]:
         found = f"after {period_samples} samples" if period_samples else "after any time"
         raise AbraceError(f"{source}: {names[0]} does not repeat itself {found}, expected a periodic input")
     first, last = _periodic_part(flattened[:, repeating], period_samples)
-    periods = max(0, last - first + 2 * EDGE) // period_samples - dropped
+    periods = max(0, last - first + 2 * EDGE) // period_samples - 1
     if periods < 2:
         raise AbraceError(
             f"{source}: {names[0]} lasts {max(0, last - first)} samples with a period of {period_samples}, "
-            f"expected at least {2 + dropped} periods, of which {dropped} dropped"
+            "expected at least 3 periods, of which 1 is dropped"
         )
     return period_samples, periods, last, repeating
-
-
-def _repeats(excitation: NDArray[np.float64], period: int) -> bool:
-    """Whether a signal repeats itself for at least two periods; it may begin and end with rest."""
-    if not 0 < period < len(excitation):
-        return False
-    before, after = excitation[:-period], excitation[period:]
-    return bool(before @ after > LEAST_CORRELATION * np.sqrt((before @ before) * (after @ after)))
 
 
 def _periodic_part(inputs: NDArray[np.float64], period: int) -> tuple[int, int]:
@@ -257,7 +144,7 @@ def _periodic_part(inputs: NDArray[np.float64], period: int) -> tuple[int, int]:
     for excitation in inputs.T:
         before, after = excitation[:-period], excitation[period:]
         difference = ndimage.uniform_filter1d((after - before) ** 2, EDGE, mode="nearest")
-        parts, count = ndimage.label(difference < ALIKE * (before @ before) / len(before))
+        parts, count = ndimage.label(difference < SAME_PERIOD * (before @ before) / len(before))
         if not count:
             return 0, 0
         # rest is periodic as well, but its power is zero
@@ -277,8 +164,6 @@ def _free_decay(recorded: NDArray[np.float64], period: int, exponents: NDArray[n
     ----------
     recorded
         (samples, channels); the input may become periodic up to START samples after the first.
-    period
-        Samples in a period.
     exponents
         (modes,) poles times the sample period.
     """

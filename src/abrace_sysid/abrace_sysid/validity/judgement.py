@@ -4,28 +4,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import isfinite, nan
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core import signals
-from abrace_core.errors import AbraceError
+from abrace_core import AbraceError
+from abrace_core.model import signals
+from abrace_core.model.verdict import Verdict
+from abrace_sysid.data_identification import identify_data, variance_accounted_for
+from abrace_sysid.examination import LEAST_SECONDS, examined, require_long
 from abrace_sysid.models.modal import servo_lags
-from abrace_sysid.recordings import LEAST_SECONDS, dead_channels, longest_piece
-from abrace_sysid.spectra.fourier import held_input
-from abrace_sysid.spectra.periodic_response import find_period
+from abrace_sysid.recorded.test import given_tests, of_one_rig
 from abrace_sysid.validity import model_findings, rig_findings, sensor_findings
-from abrace_sysid.validity.finding import Finding, Validity, Verdict
+from abrace_sysid.validity.finding import Finding, Validity, prediction_finding
 from abrace_sysid.validity.motion import Motion
-from abrace_sysid.validity.residuals import Residual, residual_of, residual_of_response
+from abrace_sysid.validity.residuals import Residual, residual_of, residual_of_data, residual_of_response
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from abrace_core.run import Run
+    from abrace_sysid.data_identification import DataIdentification, DataOptions
     from abrace_sysid.fitting.options import IdentificationOptions
     from abrace_sysid.identification import Identification
-    from abrace_sysid.spectra.measured_tests import TestData
+    from abrace_sysid.input_tests import InputTests
+    from abrace_sysid.recorded.test import AnyTest, Test
+
 
 FITTING = 0.5
 """Fraction of the progress at which an identification has accepted its tests and options."""
@@ -43,8 +47,6 @@ class Judgement:
 
     Parameters
     ----------
-    validity
-        The findings.
     residuals
         The residual of each test; empty if there is no model.
     """
@@ -53,40 +55,69 @@ class Judgement:
     residuals: tuple[Residual, ...]
 
 
-def judge(
-    table: Sequence[Run],
-    command: Sequence[Run],
-    options: IdentificationOptions,
-    found: Identification | None,
-    failure: str = "",
-) -> Judgement:
+def judge(found: Identification) -> Judgement:
     """Judge how far an identification can be trusted, and why.
 
     Parameters
     ----------
-    table, command
-        The table tests and the command tests, as recorded.
-    options
-        Options of the identification.
     found
-        The identification; None if it failed.
-    failure
-        Why it failed.
+        The identification; its tests were examined by it.
     """
-    options = options.of_tests(table, command)
-    findings: list[Finding] = []
     not_checked: dict[str, str] = {}
-    if found is None:
-        meaning, advice = f"nothing was identified: {failure}", "Correct what is named here, and identify again"
-        findings.append(Finding("identification", "", 1.0, 0.0, "", Verdict.DONT, "", meaning, advice))
-    findings += _of_tests(table, command, options, not_checked)
-    residuals: list[Residual] = []
-    if found is not None:
-        of_model, residuals = _of_model(found, options, findings, not_checked)
-        findings += of_model
-    else:
-        not_checked["residuals, agreement of tests, lag"] = "there is no model"
-    names = _short_names([run.source for run in (*table, *command)])
+    findings = findings_of_tests(found.tests, found.options, not_checked)
+    of_model, residuals = _of_model(found, findings, not_checked)
+    return _spoken([*findings, *of_model], not_checked, residuals, found.tests)
+
+
+def judge_failure(
+    table: AnyTest | Sequence[AnyTest],
+    command: AnyTest | Sequence[AnyTest],
+    options: IdentificationOptions,
+    error: AbraceError,
+    progress: float = 1.0,
+) -> Judgement | None:
+    """Judge the tests of an identification that failed.
+
+    None if it failed because of wrong options or tests, and no finding on the measurements explains the failure.
+
+    Parameters
+    ----------
+    table, command
+    error
+        Why it failed.
+    progress
+        Fraction of the identification that was done.
+    """
+    tables, commands = given_tests(table), given_tests(command)
+    if any(all(test.seconds < LEAST_SECONDS for test in tests) for tests in (tables, commands)):
+        return None
+    options, not_checked = (
+        options.of_tests(tables, commands),
+        {"residuals, agreement of tests, lag": "there is no model"},
+    )
+    meaning, advice = f"nothing was identified: {error}", "Correct what is named here, and identify again"
+    findings = [Finding.of("identification", "", 1.0, (0.0, 0.0), meaning, "", advice)]
+    tests = []
+    for test in (*tables, *(one for one in commands if not any(one.is_same(other) for other in tables))):
+        both = any(test.is_same(other) for other in tables) and any(test.is_same(other) for other in commands)
+        driving = (signals.GROUND, *test.moving) if both else test.moving or (signals.GROUND,)
+        band = options.table_band if any(test is one for one in tables) else options.command_band
+        try:
+            require_long(test)
+            tests.append(examined(test, driving, band))
+        except AbraceError as why:
+            meaning = f"the sensors of {test.source} were not judged: {why}"
+            findings.append(Finding.of("sensors", test.source, nan, (0.0,), meaning))
+    findings += findings_of_tests(tests, options, not_checked)
+    judged = _spoken(findings, not_checked, [], (*tables, *commands))
+    return judged if judged.validity.causes or progress >= FITTING else None
+
+
+def _spoken(
+    findings: Sequence[Finding], not_checked: dict[str, str], residuals: Sequence[Residual], tests: Sequence[Test]
+) -> Judgement:
+    """All that was found, with the tests' short names."""
+    names = _short_names([test.source for test in tests])
 
     def spoken(text: str) -> str:
         for source, name in names.items():
@@ -95,7 +126,7 @@ def judge(
 
     findings = [replace(one, where=spoken(one.where), meaning=spoken(one.meaning)) for one in findings]
     not_checked = {spoken(check): spoken(why) for check, why in not_checked.items()}
-    residuals = [replace(one, source=spoken(one.source)) for one in residuals]
+    residuals = [replace(one, test=replace(one.test, source=spoken(one.test.source))) for one in residuals]
     return Judgement(Validity(tuple(findings), not_checked), tuple(residuals))
 
 
@@ -105,52 +136,20 @@ def _short_names(sources: Sequence[str]) -> dict[str, str]:
     return short if len(set(short.values())) == len(short) else {}
 
 
-def judge_failure(
-    table: Sequence[Run], command: Sequence[Run], options: IdentificationOptions, error: AbraceError, progress: float
-) -> Judgement | None:
-    """Judge the tests of an identification that failed.
-
-    None if it failed because of wrong options or tests, and no finding on the measurements explains the failure.
-
-    Parameters
-    ----------
-    table, command, options
-        As of `judge`.
-    error
-        Why it failed.
-    progress
-        Fraction of the identification that was done.
-    """
-    if any(all(len(run.outputs) * run.sample_period < LEAST_SECONDS for run in tests) for tests in (table, command)):
-        return None
-    judged = judge(table, command, options, None, str(error))
-    return judged if judged.validity.causes or progress >= FITTING else None
-
-
-def _of_tests(
-    table: Sequence[Run], command: Sequence[Run], options: IdentificationOptions, not_checked: dict[str, str]
+def findings_of_tests(
+    tests: Sequence[Test], options: IdentificationOptions, not_checked: dict[str, str]
 ) -> list[Finding]:
-    """Findings that need no model; what could not be checked is added to `not_checked`."""
+    """Findings on examined `tests`, identified with `options`, that need no model.
+
+    What could not be checked is added to `not_checked`.
+    """
     findings: list[Finding] = []
     motions: list[tuple[Motion, tuple[float, float]]] = []
-    shaken, driven = {run.source for run in table}, {run.source for run in command}
-    tests = [(run, options.table_band) for run in table]
-    tests += [(run, options.command_band) for run in command if run.source not in shaken]
-    for run, band in tests:
-        try:
-            whole = _whole(run)
-        except AbraceError as error:
-            not_checked[f"sensors of {run.source}"] = str(error)
-            continue
-        commands = tuple(name for name in whole.command_names if np.any(held_input(whole, name)))
-        inputs = (signals.GROUND, *commands) if run.source in shaken & driven else commands or (signals.GROUND,)
-        dead = dead_channels(whole, inputs, band)
-        period = max((find_period(held_input(whole, name)) or 0 for name in inputs), default=0) or None
-        findings += sensor_findings.dead(whole, inputs, dead)
-        findings += sensor_findings.saturated(whole, inputs, tuple(dead), period)
-        answering = [name for name in (*whole.names, signals.GROUND) if name not in dead]
-        findings += sensor_findings.spiked(whole, answering)
-        motion = Motion.of(whole, band[1]).without(dead)
+    for test in tests:
+        findings += sensor_findings.dead(test)
+        findings += sensor_findings.saturated(test)
+        findings += sensor_findings.spiked(test, [*test.names, signals.GROUND])
+        motion = Motion.of(test, options.band_of(test)[1]).without(test.faults)
         findings += sensor_findings.contradicting(motion, options.table_band)
         motions.append((motion, options.table_band))
     if any(one.cause in sensor_findings.WRONG for one in findings):
@@ -166,23 +165,11 @@ def _of_tests(
     return findings
 
 
-def _whole(run: Run) -> Run:
-    """The longest piece of a test without a gap; an error if a value in it is not finite."""
-    whole = longest_piece(run)[0]
-    names = (*whole.names, signals.GROUND, *whole.command_names)
-    bad = [name for name in names if not np.isfinite(whole.channels([name])).all()]
-    if bad:
-        raise AbraceError(f"{run.source}: {', '.join(bad)} not finite")
-    return whole
-
-
 def _of_model(
-    found: Identification,
-    options: IdentificationOptions,
-    before: Sequence[Finding],
-    not_checked: dict[str, str],
+    found: Identification, before: Sequence[Finding], not_checked: dict[str, str]
 ) -> tuple[list[Finding], list[Residual]]:
     """Findings on the model, and the residuals of each test; what could not be checked is added to `not_checked`."""
+    options = found.options
     known = [one.cause for one in before if one.verdict and one.cause in LEAVE_RESIDUALS]
     nonlinear = list(dict.fromkeys(known))
     findings: list[Finding] = []
@@ -195,7 +182,8 @@ def _of_model(
             residuals.append(residual)
             findings += model_findings.unexplained(residual, nonlinear)
     poles, estimate = found.poles, found.poles.estimate
-    if estimate is None:
+    if estimate is None or found.covariance is None:
+        not_checked["agreement of tests, lag"] = f"the method {options.method} gives no intervals"
         return findings, residuals
     findings += model_findings.modes_of_both(poles.table_pairs, poles.common_pairs)
     cause = nonlinear[0] if nonlinear else "tests that differ"
@@ -222,11 +210,92 @@ def _of_model(
     return findings, residuals
 
 
-def _residuals(found: Identification, data: TestData) -> list[Residual]:
+def _residuals(found: Identification, data: InputTests) -> list[Residual]:
     """The residuals of each test of one input."""
     if data.periodic:
-        both = zip(data.responses, data.runs, strict=True)
-        return [residual_of_response(response, found.model, run.source) for response, run in both]
-    omega = data.responses[0].omega / (2 * np.pi)
-    band = (float(omega[0]), float(omega[-1]))
-    return [residual_of(run, data.together, found.model, band) for run in data.runs]
+        both = zip(data.responses, data.tests, strict=True)
+        return [residual_of_response(response, found.model, test.source) for response, test in both]
+    return [residual_of(test, data.together, found.model, data.responses[0].band) for test in data.tests]
+
+
+RIG_ALONE = "sensors agree, friction, backlash, lag of the servo"
+"""Checks that need a rig's channels."""
+
+
+def identify_and_judge(
+    data: Test | Sequence[Test],
+    options: DataOptions,
+    progress: Callable[[str, float], None] = lambda _step, _fraction: None,
+    validation: Sequence[Test] = (),
+) -> tuple[DataIdentification, tuple[Test, ...], Judgement]:
+    """Identify from measured data but for a part that is held out, and judge by predicting that.
+
+    Parameters
+    ----------
+    data, options, progress
+        As for `identify_data`.
+    validation
+        Other records of the structure, that are predicted as well.
+
+    Returns
+    -------
+    found, held_out, judged
+        The identification, the records held out, and what was found of data and model.
+    """
+    records = given_tests(data)
+    of_one_rig([*records, *validation])
+    ends = [round((1 - options.held_out) * len(one.outputs)) for one in records]
+    found = identify_data([one.part(0, end) for one, end in zip(records, ends, strict=True)], options, progress)
+    parts = [one.part(end, len(one.outputs)) for one, end in zip(records, ends, strict=True)]
+    held_out = tuple(found.in_time(one) for one in (*parts, *validation) if len(one.outputs))
+    return found, held_out, judge_data(found, held_out)
+
+
+def judge_data(found: DataIdentification, held_out: Sequence[Test]) -> Judgement:
+    """Judge how far a model of measured data can be trusted, and why.
+
+    Parameters
+    ----------
+    found
+        The identification.
+    held_out
+        Records that were not used, moved in time; none: the check "prediction" is not made.
+    """
+    findings, residuals = _in_time(found), []
+    for test in found.tests:
+        findings += sensor_findings.dead(test) + sensor_findings.saturated(test)
+        findings += sensor_findings.spiked(test, (*test.inputs, *test.names))
+    findings += sensor_findings.other_units(found.estimate, found.tests[0])
+    nonlinear = [one.cause for one in findings if one.verdict and one.cause == "saturation"]
+    for record in found.records:
+        residuals.append(residual_of_data(record, found.model, found.band))
+        findings += model_findings.unexplained(residuals[-1], nonlinear)
+    not_checked = {RIG_ALONE: "the meaning of the data's channels is unknown"}
+    if held_out:
+        findings.append(_predicted(found, held_out, residuals[0]))
+    else:
+        not_checked["prediction"] = "held_out is 0 and there is no other record, no data was held out"
+    return Judgement(Validity(tuple(findings), not_checked), tuple(residuals))
+
+
+def _in_time(found: DataIdentification) -> list[Finding]:
+    """The finding on delays of outputs; the model has been made without them, and does not suffer."""
+    late, period = found.delays, found.tests[0].sample_period
+    said = [f"{name} is {delay.words(period)} against the inputs" for name, delay in late.items()]
+    meaning = "; ".join(said) or "no output is late or early beyond the uncertainty"
+    value = max((abs(delay.seconds) for delay in late.values()), default=0.0)
+    where = f"{', '.join(late) or 'all outputs'}, {found.source}"
+    limits = sensor_findings.LATE
+    return [Finding.of("sensors synchronous", where, value, limits, meaning, unit="s", verdict=Verdict.TRUST)]
+
+
+def _predicted(found: DataIdentification, held_out: Sequence[Test], residual: Residual) -> Finding:
+    """The finding on the prediction of the records held out, with the noise level of a record used."""
+    missed = 1 - variance_accounted_for(found.model, held_out, found.band)
+    power = sum(len(one.outputs) * np.var(one.channels(found.model.outputs), axis=0) for one in held_out)
+    power = power / sum(len(one.outputs) for one in held_out)
+    noise = residual.noise[0] / np.where(power > 0, power, np.inf)
+    errors = np.sqrt(np.maximum(missed - noise, 0))
+    shares = dict(zip(found.model.outputs, errors.tolist(), strict=True))
+    why = "does not move, or has too few samples or values that are not finite, in the part held out"
+    return prediction_finding(shares, {name: why for name, share in shares.items() if not isfinite(share)})

@@ -19,30 +19,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from abrace_core import signals
+from abrace_core.model import signals
 from abrace_sysid.validity.mechanics import side_of_clearance
 from abrace_sysid.validity.regression import leakage, regression
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from abrace_sysid.validity.motion import Motion
-
-UNITS: dict[str, dict[str, float]] = {
-    "a": {
-        "g": 1 / 9.80665,
-        "mg": 1000 / 9.80665,
-        "cm/s^2": 100.0,
-        "mm/s^2": 1000.0,
-        "in/s^2": 39.3701,
-        "ft/s^2": 3.28084,
-    },
-    "x": {"mm": 1000.0, "cm": 100.0, "in": 39.3701, "um": 1e6},
-    "f": {"kgf": 1 / 9.80665, "kN": 1e-3, "lbf": 0.2248089, "tf": 1e-3 / 9.80665},
-}
-"""For each kind of channel (first letter): other usual units, as multiples of the expected unit."""
 
 CONTRADICTION = 0.02
 """A cause is searched if more than this share of a channel's power, noise subtracted, contradicts the others.
@@ -74,6 +60,24 @@ EXCITED = 100.0
 
 MOST = 3
 """Greatest number of faults searched in one test."""
+
+ONE_SHAPE = 0.99
+"""Floors move in one mode at the strongest line if one real shape explains this share of their motion around it."""
+
+DISTINCT = 0.03
+"""Two floors whose amplitudes differ by less than this share cannot be told apart by their heights."""
+
+ABOVE_NOISE = 20.0
+"""Sensors are compared if the power of what they read exceeds that of their noise by this factor."""
+
+CERTAIN = 3.0
+"""A lag counts from this many standard deviations on, below and above the middle of the motion's power."""
+
+LEAST_LINES = 4
+"""A side with fewer lines than this times the unknowns says nothing of a lag."""
+
+
+HEIGHTS = "heights of "
 
 
 @dataclass(frozen=True)
@@ -137,29 +141,38 @@ def kinematics(motion: Motion, band: tuple[float, float]) -> Kinematics:
     Parameters
     ----------
     motion
-        The test.
     band
         [Hz] of the building's modes.
     """
     lines = motion.within(band)
-    found = contradictions(motion, lines)
+    hidden = _hidden(motion, lines)
+    found = contradictions(motion, lines, hidden)
     changes: list[Change] = []
     current, left = motion, found
-    while max(left.values(), default=0.0) > CONTRADICTION and len(changes) < MOST:
+    while max(_compared(motion, left).values(), default=0.0) > CONTRADICTION and len(changes) < MOST:
         trials = [(change, change.applied(current)) for change in _candidates(current, lines)]
         costs = [
-            sum(contradictions(trial, lines).values()) + _doubt(change, current, lines) for change, trial in trials
+            sum(contradictions(trial, lines, hidden).values()) + _doubt(change, current, lines)
+            for change, trial in trials
         ]
         best = int(np.argmin(costs)) if costs else 0
         if not costs or costs[best] > (1 - IMPROVEMENT) * sum(left.values()):
             break
         changes.append(trials[best][0])
         current = trials[best][1]
-        left = contradictions(current, lines)
-    return Kinematics(found, tuple(changes), left, _lags(current, lines))
+        left = contradictions(current, lines, hidden)
+    return Kinematics(_compared(motion, found), tuple(changes), _compared(motion, left), _lags(current, lines))
 
 
-def contradictions(motion: Motion, lines: NDArray[np.int64]) -> dict[str, float]:
+def _compared(motion: Motion, found: Mapping[str, float]) -> dict[str, float]:
+    """The contradictions between sensors; those of heights only where no floor has two sensors."""
+    pairs = any(
+        f"x{floor}" in motion.spectra and f"a{floor}" in motion.spectra for floor in range(1, motion.floors + 1)
+    )
+    return {name: value for name, value in found.items() if not (pairs and name.startswith(HEIGHTS))}
+
+
+def contradictions(motion: Motion, lines: NDArray[np.int64], hidden: Collection[str] = ()) -> dict[str, float]:
     """Share of each channel's power that contradicts the others, 0 to 1; 1 if its sign or size is impossible.
 
     Parameters
@@ -168,8 +181,28 @@ def contradictions(motion: Motion, lines: NDArray[np.int64]) -> dict[str, float]
         A test.
     lines
         Numbers of the lines used.
+    hidden
+        Contradictions that are left out.
     """
-    return dict([*_of_floors(motion, lines), *_of_heights(motion, lines), *_of_braces(motion, lines)])
+    found = dict([*_of_floors(motion, lines), *_of_heights(motion, lines), *_of_braces(motion, lines)])
+    return {name: value for name, value in found.items() if name not in hidden}
+
+
+def _hidden(motion: Motion, lines: NDArray[np.int64]) -> list[str]:
+    """What cannot be compared in a test as recorded: floors and strokes that hardly move more than their noise."""
+    still = []
+    for floor in range(1, motion.floors + 1):
+        both = _relative(motion, floor, lines)
+        if both is not None:
+            one, other, weight = both
+            size = np.sum(np.abs(weight * one) ** 2) + np.sum(np.abs(weight * other) ** 2)
+            still += [_pair(floor)] if size < ABOVE_NOISE * len(lines) else []
+    floors = [motion.noise[f"x{floor}"] for floor in range(1, motion.floors + 1) if f"x{floor}" in motion.spectra]
+    strokes = [name for name in signals.numbered("xf", motion.groups) if name in motion.spectra and floors]
+    power = {name: float(np.mean(np.abs(motion.spectra[name][lines]) ** 2)) for name in strokes}
+    return still + [
+        name for name in strokes if power[name] < ABOVE_NOISE * (motion.noise[name] ** 2 + 2 * min(floors) ** 2)
+    ]
 
 
 def _relative(
@@ -186,19 +219,27 @@ def _relative(
     return a[lines] - w[lines], -square * x[lines], 1 / np.sqrt(noise)
 
 
+def _pair(floor: int) -> str:
+    return f"a{floor}, x{floor}"
+
+
 def _of_floors(motion: Motion, lines: NDArray[np.int64]) -> Iterator[tuple[str, float]]:
     for floor in range(1, motion.floors + 1):
         both = _relative(motion, floor, lines)
         if both is not None:
             one, other, weight = both
             size = np.sum(np.abs(weight * one) ** 2) + np.sum(np.abs(weight * other) ** 2)
+            # a record that ends in motion is no period of it: its second derivative has more than -w^2 x
+            ends, _ = np.linalg.qr(weight[:, None] * leakage(motion.omega[lines])[:, ::2])
+            apart = weight * (one - other)
+            apart = apart - ends @ (ends.conj().T @ apart)
             # the weights make the expected noise power of each line 1
-            different = np.sum(np.abs(weight * (one - other)) ** 2) - len(lines)
-            yield f"a{floor}, x{floor}", float(np.clip(different / size, 0, 1))
+            different = np.sum(np.abs(apart) ** 2) - len(lines)
+            yield _pair(floor), float(np.clip(different / size, 0, 1))
 
 
 def _of_heights(motion: Motion, lines: NDArray[np.int64]) -> Iterator[tuple[str, float]]:
-    """The shares of displacements and of accelerations that do not grow with height in the first mode."""
+    """The shares of displacements and of accelerations that do not grow with height, if one mode moves all floors."""
     for letter in "xa":
         names = [f"{letter}{floor}" for floor in range(1, motion.floors + 1) if f"{letter}{floor}" in motion.spectra]
         w = motion.spectra.get(signals.GROUND)
@@ -209,10 +250,12 @@ def _of_heights(motion: Motion, lines: NDArray[np.int64]) -> Iterator[tuple[str,
             motions = (motions - w[lines, None]) / motion.omega[lines, None] ** 2
         normal = motions / np.linalg.norm(motions, axis=0)
         peak = int(np.argmax(np.sum(np.abs(normal) ** 2, axis=1)))
-        about = slice(max(0, peak - 3), peak + 4)
-        sizes = np.linalg.norm(motions[about], axis=0)
-        wrong = np.count_nonzero(np.diff(sizes) <= 0)
-        yield f"heights of {letter}", 0.5 * float(wrong) / (len(names) - 1)
+        about = motions[max(0, peak - 3) : peak + 4]
+        sizes = np.linalg.norm(about, axis=0)
+        share = np.linalg.svd(np.vstack([about.real, about.imag]), compute_uv=False) ** 2
+        steps = np.diff(sizes) / np.maximum(sizes[1:], sizes[:-1])
+        if share[0] > ONE_SHAPE * share.sum() and np.abs(steps).min() > DISTINCT:
+            yield f"{HEIGHTS}{letter}", 0.5 * float(np.count_nonzero(steps < 0)) / (len(names) - 1)
 
 
 def _of_braces(motion: Motion, lines: NDArray[np.int64]) -> Iterator[tuple[str, float]]:
@@ -289,7 +332,9 @@ def _candidates(motion: Motion, lines: NDArray[np.int64]) -> Iterator[Change]:
         kind = "a" if name == signals.GROUND else name[0]
         yield Change("reversed", (name,), -1.0)
         for sign in (1.0, -1.0):
-            yield from (Change("unit", (name,), sign * factor, unit) for unit, factor in UNITS[kind].items())
+            yield from (
+                Change("unit", (name,), sign * factor, unit) for unit, factor in signals.OTHER_UNITS[kind].items()
+            )
         factor = _factor(motion, name, lines)
         if factor is not None and abs(factor) > 1e-9:
             yield Change("unit", (name,), factor)
@@ -333,7 +378,17 @@ def _lags(motion: Motion, lines: NDArray[np.int64]) -> dict[str, float]:
             columns = [-1j * omega * (relative + w)]
             if np.mean(np.abs(w) ** 2) > EXCITED * motion.noise[signals.GROUND] ** 2:
                 columns.append(1j * omega * w)
-            lags = regression(relative - second, np.column_stack(columns))[0]
+            all_columns, difference = np.column_stack([*columns, leakage(omega)]), relative - second
+            lags = regression(difference, all_columns)[0][: len(columns)]
+            # a lag delays the motion on both sides of the middle of its power; what is wrong at one resonance does not
+            power = np.cumsum(np.abs(relative + w) ** 2)
+            middle = int(np.searchsorted(power, power[-1] / 2))
+            for side in (slice(0, middle), slice(middle, None)):
+                if len(omega[side]) <= LEAST_LINES * all_columns.shape[1]:
+                    continue
+                part, deviations = regression(difference[side], all_columns[side])
+                certain = part[: len(columns)] * np.sign(lags) > CERTAIN * deviations[: len(columns)]
+                lags = np.where(certain, lags, 0.0)
             found[f"a{floor}"] = float(lags[0])
             ground += [float(lag) for lag in lags[1:]]
     if ground:

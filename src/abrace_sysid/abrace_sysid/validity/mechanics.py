@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg
 
-from abrace_core import signals
+from abrace_core.model import signals
 from abrace_sysid.validity.regression import leakage, regression
 
 if TYPE_CHECKING:
@@ -302,10 +302,13 @@ def backlashes(motion: Motion, band: tuple[float, float]) -> tuple[Backlash, ...
         )
         size = float(np.std(motion.series(motion.spectra[stroke], band)))
         clearance, deviation = 2 * float(coefficients[0]), 2 * float(deviations[0])
-        own_floor = 1 + int(np.argmax(np.abs(coefficients[1 : 1 + len(displacements)])))
-        lag, uncertain = (
-            float(of[own_floor + len(linear)] / abs(coefficients[own_floor])) for of in (coefficients, deviations)
+        # late by one time is the drift that the brace spans; floors that move alike share no lag among themselves
+        drift = np.column_stack([one[lines] for one in displacements]) @ coefficients[1 : 1 + len(displacements)]
+        spanned = [columns[0], drift, motion.spectra[force][lines]]
+        late, deviations = regression(
+            motion.spectra[stroke][lines],
+            np.column_stack([*spanned, 1j * omega * drift, 1j * omega * spanned[2], leakage(omega)]),
         )
-        lag *= -float(np.sign(coefficients[own_floor]))
+        lag, uncertain = -float(late[3] / late[1]), float(deviations[3] / abs(late[1]))
         found.append(Backlash(group, stroke, clearance, deviation, clearance / 2 / size, lag, uncertain))
     return tuple(found)

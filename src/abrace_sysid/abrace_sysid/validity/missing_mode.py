@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import optimize
 
-from abrace_sysid.fitting.pole_basis import Sampling
+from abrace_core.model.modes import nearest_mode
+from abrace_sysid.fitting.pole_basis import forced, transients
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,16 +19,13 @@ if TYPE_CHECKING:
 
     from abrace_sysid.validity.residuals import Residual
 
-NEAR = 0.1
+SEARCHED_AROUND = 0.1
 """Half-width of the window about the strongest residual in which the mode is fitted, as a share of its frequency."""
 
 LEAST_LINES = 40
 
 DAMPING = (0.003, 0.02, 0.1)
 """Initial values of the damping ratio."""
-
-SAME = 0.02
-"""Two frequencies belong to the same mode if their relative difference is at most this."""
 
 EXPLAINED, SMOOTH = 0.9, 0.8
 """The residual is a missing mode if a mode explains more than EXPLAINED of it, and a response without resonance less
@@ -72,12 +70,12 @@ def missing_mode(residual: Residual) -> MissingMode | None:
     residual
         Residual of a test with noise.
     """
-    omega, power, sample_period = residual.omega, residual.ratio.sum(axis=1), residual.sample_period
+    test, omega, power = residual.test, residual.test.omega, residual.ratio.sum(axis=1)
     smooth = np.convolve(power, np.ones(5) / 5, "same")
     centre = int(np.argmax(smooth))
-    reach = max(LEAST_LINES, int(NEAR * omega[centre] / (omega[1] - omega[0])))
+    reach = max(LEAST_LINES, int(SEARCHED_AROUND * omega[centre] / (omega[1] - omega[0])))
     lines = slice(max(0, centre - reach), centre + reach + 1)
-    z, excitation = np.exp(1j * omega[lines] * sample_period), residual.excitation[lines]
+    z, excitation = test.z[lines], test.excitation[lines]
     left = residual.left[lines] / np.sqrt(residual.noise[lines])
     total, expected = float(np.sum(np.abs(left) ** 2)), float(left.size)
     if total < 2 * expected:
@@ -95,11 +93,9 @@ def missing_mode(residual: Residual) -> MissingMode | None:
         if damping > 0.5:
             return total
         pole = frequency * complex(-damping, np.sqrt(1 - damping**2))
-        columns = [constant]
-        for side in (pole, pole.conjugate()):
-            responses = [Sampling(sample_period, hold).response(side, z)[0] for hold in residual.holds]
-            columns += [excitation * np.column_stack(responses), Sampling(sample_period).transient(side, z)[0]]
-        return without(columns)
+        return without(
+            [constant, *forced([pole], z, test.samplings, excitation), *transients([pole], z, test.samplings[0])]
+        )
 
     starts = [np.log([omega[centre], damping]) for damping in DAMPING]
     first = min(starts, key=rest)
@@ -113,5 +109,5 @@ def missing_mode(residual: Residual) -> MissingMode | None:
         for left_over in (float(found.fun), without([constant, along * constant, excitation, along * excitation]))
     ]
     pairs = np.abs(residual.poles[residual.poles.imag > 0])
-    known = bool(np.any(np.abs(pairs / frequency - 1) < SAME))
+    known = nearest_mode(pairs, frequency) is not None
     return MissingMode(float(frequency), float(damping), shares[0], shares[1], known)

@@ -8,17 +8,16 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft, signal
+from scipy import fft
 
-from abrace_core import signals
-from abrace_sysid.spectra.fourier import held_input
+from abrace_core.model import signals
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from abrace_core.run import Run
+    from abrace_sysid.recorded.test import Test
 
 QUIET = (1.3, 0.8)
 """The band that contains only sensor noise: from 1.3 times the highest excited frequency to 0.8 of half the sample
@@ -32,27 +31,40 @@ LEAST_NOISE = 1e-7
 """Least noise of a channel, as a share of its rms; for exact readings, which have only rounding errors."""
 
 
-def noise_level(series: NDArray[np.float64], sample_period: float, highest: float) -> float:
-    """Standard deviation of sensor noise in the excited band, from the median power in bands above it.
+def noise_between(power: NDArray[np.float64], lines: Sequence[int]) -> NDArray[np.float64]:
+    """(channels,) standard deviation of white noise, the greatest of those found in several bands.
+
+    It follows from a band's median power, which hum and leakage do not affect.
+
+    Parameters
+    ----------
+    power
+        (lines, channels), as `hann_power` gives it.
+    lines
+        Numbers of the lines at which the bands begin, and the last one ends.
+    """
+    medians = [np.median(power[low:high], axis=0) for low, high in pairwise(lines) if high > low]
+    # an exponential distribution's median is log(2) times its mean
+    return np.asarray(np.sqrt(np.max(medians, axis=0) / np.log(2)))
+
+
+def noise_level(test: Test, names: Sequence[str], highest: float) -> NDArray[np.float64]:
+    """(len(names),) standard deviation of sensor noise in the excited band, from bands above it.
 
     The greatest value of these bands is used, since an anti-alias filter attenuates the higher ones.
 
     Parameters
     ----------
-    series
-        (samples,).
-    sample_period
-        Seconds.
+    test, names
+        The test, trends removed, and the channels.
     highest
         Frequency [Hz] up to which the rig was excited.
     """
-    window = np.hanning(len(series))
-    power = np.abs(fft.rfft(series * window)) ** 2 / np.sum(window**2)
-    frequency = fft.rfftfreq(len(series), sample_period)
+    frequency = fft.rfftfreq(len(test.outputs), test.sample_period)
     end = QUIET[1] * frequency[-1]
     edges = np.searchsorted(frequency, np.geomspace(min(QUIET[0] * highest, 0.9 * end), end, BANDS + 1))
-    level = max(np.sqrt(np.median(power[low:high]) / np.log(2)) for low, high in pairwise(edges) if high > low)
-    return float(max(level, LEAST_NOISE * np.std(series), np.finfo(float).tiny))
+    least = np.maximum(LEAST_NOISE * np.std(test.channels(names), axis=0), np.finfo(float).tiny)
+    return np.asarray(np.maximum(noise_between(test.powers(names), edges.tolist()), least))
 
 
 @dataclass(frozen=True)
@@ -61,8 +73,6 @@ class Motion:
 
     Parameters
     ----------
-    source
-        Name of the test.
     floors, groups
         Number of floors and of brace groups of the rig.
     braces
@@ -89,30 +99,26 @@ class Motion:
     noise: Mapping[str, float]
 
     @classmethod
-    def of(cls, run: Run, highest: float) -> Motion:
+    def of(cls, test: Test, highest: float) -> Motion:
         """The spectra of a test.
 
         Parameters
         ----------
-        run
-            The test.
         highest
             Frequency [Hz] up to which the rig was excited.
         """
-        names = [*run.names, signals.GROUND]
-        series = signal.detrend(run.channels(names), axis=0)
-        commands = np.column_stack([held_input(run, name) for name in run.command_names])
-        spectra = fft.rfft(np.hstack([series, commands]), axis=0) / np.sqrt(len(series))
-        noise = [noise_level(column, run.sample_period, highest) for column in series.T]
+        names = [*test.names, signals.GROUND]
+        spectra = test.still.spectra((*names, *test.commands))
+        noise = noise_level(test.still, names, highest).tolist()
         return cls(
-            run.source,
-            run.floors,
-            run.groups,
-            run.braces or (1,) * run.groups,
-            len(series),
-            run.sample_period,
-            2 * np.pi * fft.rfftfreq(len(series), run.sample_period),
-            dict(zip((*names, *run.command_names), spectra.T, strict=True)),
+            test.source,
+            test.floors,
+            test.groups,
+            test.braces,
+            len(test.outputs),
+            test.sample_period,
+            2 * np.pi * fft.rfftfreq(len(test.outputs), test.sample_period),
+            dict(zip((*names, *test.commands), spectra.T, strict=True)),
             dict(zip(names, noise, strict=True)),
         )
 

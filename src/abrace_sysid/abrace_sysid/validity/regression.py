@@ -9,7 +9,7 @@ import numpy as np
 from scipy import linalg
 from scipy.ndimage import uniform_filter1d
 
-from abrace_sysid.fitting.condensed_lines import triangular_factor
+from abrace_sysid.fitting.curve_fit import triangular_factor
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -17,23 +17,21 @@ import numpy as np
 from scipy import stats
 from scipy.ndimage import uniform_filter1d
 
-from abrace_core import signals
-from abrace_core.discretization import discretize
-from abrace_core.linear_model import takes_models
-from abrace_sysid.fitting.condensed_lines import stacked, triangular_factor
-from abrace_sysid.fitting.pole_basis import Sampling
-from abrace_sysid.spectra.fourier import spectra_of
+from abrace_core.model import signals
+from abrace_core.model.discretization import discretize
+from abrace_core.model.linear_model import takes_models
+from abrace_sysid.fitting.curve_fit import stacked, triangular_factor
+from abrace_sysid.fitting.observation import Observation
+from abrace_sysid.fitting.pole_basis import forced, transients
 from abrace_sysid.spectra.frequency_response import sampled_response
 from abrace_sysid.validity.motion import BANDS, noise_level
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from abrace_core.linear_model import LinearModel
-    from abrace_core.run import Run
-    from abrace_sysid.measured_data import MeasuredData
+    from abrace_core.model.linear_model import LinearModel
+    from abrace_sysid.recorded.test import Test
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
-    from abrace_sysid.spectra.holds import InputHold
 
 SMOOTHED = 41
 """Number of lines over which the noise power of a periodic test is averaged."""
@@ -48,40 +46,20 @@ class Residual:
 
     Parameters
     ----------
-    source
-        Name of the test.
-    inputs, outputs
-        Names of the signals.
-    omega
-        (lines,) [rad/s].
-    excitation
-        (lines, inputs) spectra of the excited inputs; ones if `measured` is a transfer function.
-    measured, left
-        (lines, channels) spectra of the outputs, and of the residual (measured minus modelled).
+    test
+        The lines of the test; `transient`: of noise, whose phases are random from line to line.
+    left
+        (lines, channels) spectra of the residual, measured minus modelled.
     noise
         (lines, channels) expected power of the residual due to sensor noise.
-    sample_period
-        Seconds.
     poles
         Poles of the model [rad/s].
-    holds
-        Behaviour of each input between samples.
-    excited
-        Whether the excitation was noise, whose phases are random from line to line.
     """
 
-    source: str
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    omega: NDArray[np.float64]
-    excitation: NDArray[np.complex128]
-    measured: NDArray[np.complex128]
+    test: Observation
     left: NDArray[np.complex128]
     noise: NDArray[np.float64]
-    sample_period: float
     poles: NDArray[np.complex128]
-    holds: tuple[InputHold, ...]
-    excited: bool = True
 
     @property
     def ratio(self) -> NDArray[np.float64]:
@@ -92,12 +70,12 @@ class Residual:
     def excess(self) -> NDArray[np.float64]:
         """(channels,) rms of the residual, noise subtracted, as a share of the response's rms."""
         beyond = np.mean(np.abs(self.left) ** 2 - self.noise, axis=0)
-        return np.asarray(np.sqrt(np.maximum(beyond, 0) / np.mean(np.abs(self.measured) ** 2, axis=0)))
+        return np.asarray(np.sqrt(np.maximum(beyond, 0) / np.mean(np.abs(self.test.measured) ** 2, axis=0)))
 
     @property
     def probability(self) -> NDArray[np.float64]:
         """(channels,) probability of such a residual by noise alone (chi-square, two degrees of freedom a line)."""
-        lines = len(self.omega)
+        lines = len(self.test.omega)
         return np.asarray(stats.chi2.sf(2 * np.sum(self.ratio, axis=0), 2 * lines))
 
     def whiteness(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -110,11 +88,11 @@ class Residual:
             the number of lines; and the frequency at which it rises fastest [rad/s].
         """
         cumulative = np.cumsum(self.ratio, axis=0) / np.sum(self.ratio, axis=0)
-        lines = len(self.omega)
+        lines = len(self.test.omega)
         distance = np.abs(cumulative - np.arange(1, lines + 1)[:, None] / lines).max(axis=0) * np.sqrt(lines)
         width = min(2 * HALF_WIDTH + 1, lines)
         sums = np.apply_along_axis(np.convolve, 0, self.ratio, np.ones(width), "same")
-        return distance, self.omega[np.argmax(sums, axis=0)]
+        return distance, self.test.omega[np.argmax(sums, axis=0)]
 
 
 @dataclass(frozen=True)
@@ -127,25 +105,22 @@ class Dependence:
         (windows,) [rad/s], middle of each window.
     probability
         (windows, channels) probability that noise alone shows as much dependence (F test).
-    share
-        (windows, channels) rms of the part that depends on the input, over the response's rms in the window.
     total
-        (channels,) the same over the whole band.
+        (channels,) rms of the part that depends on the input, over the response's rms.
     """
 
     omega: NDArray[np.float64]
     probability: NDArray[np.float64]
-    share: NDArray[np.float64]
     total: NDArray[np.float64]
 
 
 @takes_models
-def residual_of(run: Run, inputs: tuple[str, ...], model: LinearModel, band: tuple[float, float]) -> Residual:
+def residual_of(test: Test, inputs: tuple[str, ...], model: LinearModel, band: tuple[float, float]) -> Residual:
     """The residual of `model` in a test with noise.
 
     Parameters
     ----------
-    run
+    test
         The test, trends removed.
     inputs
         Names of all inputs that were excited.
@@ -155,22 +130,18 @@ def residual_of(run: Run, inputs: tuple[str, ...], model: LinearModel, band: tup
         [Hz].
     """
     outputs = model.outputs
-    spectra = spectra_of(run, inputs, band).select(outputs)
-    sampled = discretize(model.select(inputs=inputs), run.sample_period).frequency_response(spectra.omega)
-    left = spectra.outputs_spectrum - np.einsum("lom,lm->lo", sampled, spectra.excitation)
-    level = {name: noise_level(run.channels([name])[:, 0], run.sample_period, band[1]) for name in outputs}
-    power = np.tile(np.array([level[name] ** 2 for name in outputs]), (len(left), 1))
+    lines = Observation.of_test(test, inputs, band, outputs)
+    sampled = discretize(model.select(inputs=inputs), test.sample_period).frequency_response(lines.omega)
+    left = lines.measured - np.einsum("lom,lm->lo", sampled, lines.excitation)
+    power = np.tile(noise_level(test, outputs, band[1]) ** 2, (len(left), 1))
     if signals.GROUND in inputs:
         passed = np.abs(sampled[:, :, inputs.index(signals.GROUND)]) ** 2
-        power = power + passed * noise_level(run.ground_acceleration, run.sample_period, band[1]) ** 2
-    left = _without_transient(left, spectra.omega, model, run.sample_period, np.sqrt(power))
-    measured, period, poles = spectra.outputs_spectrum, run.sample_period, _poles(model)
-    lines, excitation, holds = spectra.omega, spectra.excitation, spectra.holds
-    return Residual(run.source, inputs, outputs, lines, excitation, measured, left, power, period, poles, holds)
+        power = power + passed * noise_level(test, [signals.GROUND], band[1]) ** 2
+    return Residual(lines, _without_transient(left, lines, model, np.sqrt(power)), power, model.poles)
 
 
 @takes_models
-def residual_of_data(data: MeasuredData, model: LinearModel, band: tuple[float, float]) -> Residual:
+def residual_of_data(test: Test, model: LinearModel, band: tuple[float, float]) -> Residual:
     """The residual of `model` in measured data, which may be excited up to half the sample rate.
 
     No part of such a record contains only noise. So the noise level is that of the residual in the fifth of the band in
@@ -178,34 +149,20 @@ def residual_of_data(data: MeasuredData, model: LinearModel, band: tuple[float, 
 
     Parameters
     ----------
-    data
-        The test.
+    test
     model
         Continuous, stable.
     band
         [Hz].
     """
-    spectra = spectra_of(data, model.inputs, band).select(model.outputs)
-    whole = model if data.hold == "band" else discretize(model, data.sample_period)
-    modelled = np.einsum("lom,lm->lo", whole.frequency_response(spectra.omega), spectra.excitation)
-    even = np.ones(modelled.shape)
-    left = spectra.outputs_spectrum - modelled
-    left = _without_transient(left, spectra.omega, model, data.sample_period, even)
+    lines = Observation.of_test(test, model.inputs, band, model.outputs)
+    whole = model if test.hold == "band" else discretize(model, test.sample_period)
+    left = lines.measured - np.einsum("lom,lm->lo", whole.frequency_response(lines.omega), lines.excitation)
+    even = np.ones(left.shape)
+    left = _without_transient(left, lines, model, even)
     parts = np.array_split(np.abs(left) ** 2, BANDS)
     noise = even * np.min([np.mean(part, axis=0) for part in parts], axis=0)
-    return Residual(
-        data.source,
-        model.inputs,
-        model.outputs,
-        spectra.omega,
-        spectra.excitation,
-        spectra.outputs_spectrum,
-        left,
-        noise,
-        data.sample_period,
-        _poles(model),
-        spectra.holds,
-    )
+    return Residual(lines, left, noise, model.poles)
 
 
 @takes_models
@@ -214,45 +171,26 @@ def residual_of_response(measured: FrequencyResponse, model: LinearModel, source
 
     Parameters
     ----------
+    source
     measured
         The transfer function, with its standard deviations.
     model
         Continuous.
-    source
-        Name of the test.
     """
     left = measured.response - sampled_response(model.select(measured.outputs), measured)
     # a few periods give a poor estimate of one line's noise: average over neighbouring lines
     noise = uniform_filter1d(measured.sigma**2, min(SMOOTHED, len(left)), axis=0, mode="nearest")
-    ones, inputs = np.ones((len(left), 1), dtype=np.complex128), (measured.input,)
-    period, outputs, poles = measured.sample_period, measured.outputs, _poles(model)
-    response, holds = measured.response, (measured.held,)
-    return Residual(
-        source, inputs, outputs, measured.omega, ones, response, left, noise, period, poles, holds, excited=False
-    )
-
-
-def _poles(model: LinearModel) -> NDArray[np.complex128]:
-    return np.linalg.eigvals(model.a).astype(np.complex128)
+    return Residual(Observation.of_response(measured, source), left, noise, model.poles)
 
 
 def _without_transient(
-    left: NDArray[np.complex128],
-    omega: NDArray[np.float64],
-    model: LinearModel,
-    sample_period: float,
-    level: NDArray[np.float64],
+    left: NDArray[np.complex128], lines: Observation, model: LinearModel, level: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
     """The residual after subtraction of the leakage, fitted as a transient with the model's poles."""
-    z, columns = np.exp(1j * omega * sample_period), [np.ones(len(omega), dtype=np.complex128)]
-    sampling = Sampling(sample_period)
-    for pole in np.linalg.eigvals(model.a):
-        if pole.imag > 0:
-            one, other = (sampling.transient(p, z)[0] for p in (pole, pole.conjugate()))
-            columns += [one + other, 1j * (one - other)]
-        elif pole.imag == 0 and abs(pole) < omega[-1]:
-            columns.append(sampling.transient(complex(pole), z)[0])
-    basis = np.column_stack(columns)
+    poles = model.poles
+    shown = poles[(poles.imag > 0) | ((poles.imag == 0) & (np.abs(poles) < lines.omega[-1]))]
+    constant = np.ones(len(left), dtype=np.complex128)
+    basis = np.column_stack([constant, *transients(shown, lines.z, lines.samplings[0])])
     found = np.empty_like(left)
     for j, column in enumerate(left.T):
         both = np.column_stack([basis, column]).astype(np.complex128) / level[:, j, None]
@@ -265,13 +203,13 @@ def _without_transient(
 
 def dependence(residual: Residual) -> Dependence:
     """Test the dependence of a residual on the input: a straight line over frequency times the input in each window."""
-    inputs = residual.excitation.shape[1]
+    inputs = residual.test.excitation.shape[1]
     half = max(HALF_WIDTH, 4 * (inputs + 1))
     width = 2 * half + 1
-    starts = np.arange(0, len(residual.omega) - width + 1, half)
+    starts = np.arange(0, len(residual.test.omega) - width + 1, half)
     index = starts[:, None] + np.arange(width)
     along = np.linspace(-1, 1, width)[None, :, None]
-    excited = residual.excitation[index]
+    excited = residual.test.excitation[index]
     smooth = np.broadcast_to(np.ones((1, width, 1), dtype=np.complex128), (len(starts), width, 1))
     leaked = np.concatenate([smooth, along * smooth], axis=2)
     both = np.concatenate([leaked, excited, along * excited], axis=2)
@@ -285,13 +223,11 @@ def dependence(residual: Residual) -> Dependence:
     more, free = 4 * inputs, 2 * (width - 2 - 2 * inputs)
     explained = without - with_input
     ratio = explained / more / np.maximum(with_input / free, np.finfo(float).tiny)
-    size = np.sum(np.abs(residual.measured[index]) ** 2, axis=1)
+    size = np.sum(np.abs(residual.test.measured[index]) ** 2, axis=1)
     # subtract the part that would be explained if the residual were noise
     beyond = np.maximum(explained - more * with_input / free, 0)
     total = np.sqrt(beyond.sum(axis=0) / size.sum(axis=0))
-    return Dependence(
-        residual.omega[starts + half], stats.f.sf(ratio, more, free), np.sqrt(beyond / size), np.asarray(total)
-    )
+    return Dependence(residual.test.omega[starts + half], stats.f.sf(ratio, more, free), np.asarray(total))
 
 
 def by_own_modes(residual: Residual) -> NDArray[np.float64]:
@@ -306,18 +242,10 @@ def by_own_modes(residual: Residual) -> NDArray[np.float64]:
     residual
         Residual of a test.
     """
-    omega, period = residual.omega, residual.sample_period
-    z = np.exp(1j * omega * period)
-    columns = []
-    for k, hold in enumerate(residual.holds):
-        sampling, driven = Sampling(period, hold), residual.excitation[:, k]
-        columns += [driven, 1j * omega * driven]
-        for pole in residual.poles:
-            if pole.imag >= 0:
-                columns.append(sampling.response(complex(pole), z)[0] * driven)
-            if pole.imag > 0:
-                columns.append(sampling.response(complex(pole.conjugate()), z)[0] * driven)
-    basis = np.column_stack(columns)
+    omega, driven = residual.test.omega, residual.test.excitation
+    poles = residual.poles[residual.poles.imag >= 0]
+    states = forced(poles, residual.test.z, residual.test.samplings, driven)
+    basis = np.column_stack([driven, 1j * omega[:, None] * driven, *states])
     shares = []
     for left, noise in zip(residual.left.T, residual.noise.T, strict=True):
         weight = 1 / np.sqrt(noise)

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import isnan
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from scipy import stats
 
-from abrace_sysid.validity.finding import Finding, Verdict, judged
+from abrace_core.model.verdict import Verdict
+from abrace_sysid.validity.finding import Finding
 from abrace_sysid.validity.mechanics import backlashes, storey_frictions
 from abrace_sysid.validity.sensor_findings import late
 
@@ -54,22 +54,11 @@ def friction(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[Findin
         return one.acceleration > limit * one.deviation and agrees
 
     advice = "Damping and intervals hold only at the tests' amplitude: test at that of use, or free the bearings"
-    return _findings(
-        "friction",
-        "of critical damping",
-        ADDED_DAMPING,
-        advice,
-        [
-            _Part(
-                f"storey {one.storey}",
-                one.damping,
-                certain(one),
-                f"friction in storey {one.storey}",
-                _amount(one, source),
-            )
-            for source, one in found
-        ],
-    )
+    parts = [
+        _Part(f"storey {one.storey}", one.damping, certain(one), f"in storey {one.storey}: ", _amount(one, source))
+        for source, one in found
+    ]
+    return _findings("friction", "of critical damping", ADDED_DAMPING, advice, parts)
 
 
 def _amount(one: StoreyFriction, source: str) -> str:
@@ -100,32 +89,27 @@ def backlash(tests: Sequence[tuple[Motion, tuple[float, float]]]) -> list[Findin
         for finding in late(one.stroke, "the floors", one.lag, motion.source)
         if finding.verdict
     ]
-    return late_ones + _findings(
-        "backlash",
-        "of the stroke",
-        LOOSE_PINS,
-        "Tighten or shim the pins; until then the model does not hold for forces that only cross the clearance",
-        [
-            _Part(
-                f"brace group {one.group}",
-                one.share,
-                one.clearance > limit * one.deviation,
-                f"backlash in the pins of brace group {one.group}",
-                f"{1e3 * one.clearance:.2g} mm in {source}",
-            )
-            for source, one in found
-        ],
-    )
+    advice = "Tighten or shim the pins; until then the model does not hold for forces that only cross the clearance"
+    parts = [
+        _Part(
+            f"brace group {one.group}",
+            one.share,
+            one.clearance > limit * one.deviation,
+            f"in the pins of brace group {one.group}: ",
+            f"{1e3 * one.clearance:.2g} mm in {source}",
+        )
+        for source, one in found
+    ]
+    return late_ones + _findings("backlash", "of the stroke", LOOSE_PINS, advice, parts)
 
 
-@dataclass(frozen=True)
-class _Part:
-    """The fault of a storey or brace group in one test: size, significance, name and amount as text."""
+class _Part(NamedTuple):
+    """The fault of a storey or brace group in one test: size, significance, place and amount as text."""
 
     where: str
     value: float
     certain: bool
-    what: str
+    place: str
     amount: str
 
 
@@ -138,10 +122,10 @@ def _findings(fault: str, unit: str, limits: tuple[float, float], advice: str, p
         shown = [part for part in parts if part.where == where and part.certain and part.value > limits[0]]
         if shown:
             worst = max(part.value for part in shown)
-            meaning = f"{shown[0].what}: {'; '.join(part.amount for part in shown)}"
-            verdict = judged(worst, *limits)
-            findings.append(Finding(fault, where, worst, limits[0], unit, verdict, fault, meaning, advice))
+            meaning = f"{fault} {shown[0].place}{'; '.join(part.amount for part in shown)}"
+            findings.append(Finding.of(fault, where, worst, limits, meaning, fault, advice, unit))
     if not findings:
         value = max(0.0, *(part.value for part in parts))
-        findings.append(Finding(fault, "everywhere", value, limits[0], unit, Verdict.TRUST, "", f"no {fault}", ""))
+        fine = Finding.of(fault, "everywhere", value, limits, f"no {fault}", unit=unit, verdict=Verdict.TRUST)
+        findings.append(fine)
     return findings

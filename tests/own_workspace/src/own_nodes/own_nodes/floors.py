@@ -5,8 +5,8 @@ import sys
 
 import rclpy
 
-from abrace_bags.run import read_run
-from abrace_core.node import find_file
+from abrace_bags import read_run
+from abrace_core.files.installed import find_file
 from abrace_interfaces.msg import Response
 from abrace_plant.rig.file import load_rig
 

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a bag has of each topic: messages, times, numbers; as counted at writing or reading, or as the bag says."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import struct
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from abrace_bags.mcap.chunk import MESSAGE_HEAD_SIZE
+from abrace_bags.sequence import NumberRanges, SequenceCounter, clock_was_set_back
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_bags.mcap.chunk import Messages
+
+COUNTS_RECORD = "abrace_topics"
+"""Name of the metadata record: by topic, JSON with what `_RECORDED` names."""
+_RECORDED = ("messages", "gaps", "missing", "lost", "first_time", "last_time", "first_number")
+
+_NUMBERED = re.compile(r"\s*std_msgs/(msg/)?Header\s+\w+\s+uint64\s+sequence(\s|$)")
+"""What a definition without comments and constants begins with, whose messages are numbered."""
+_NO_FIELD = re.compile(r"#.*|^[ \t]*[\w/]+[ \t]+\w+[ \t]*=.*", re.MULTILINE)
+_OUT_OF_TURN = 100_000_000
+"""How far the times of several publishers' messages may step back [ns]; a larger step means a clock that was set
+back."""
+_LENGTH_OFFSET, _FRAME_OFFSET = MESSAGE_HEAD_SIZE + 12, MESSAGE_HEAD_SIZE + 16
+"""Offsets in a message record of the length of the header's frame_id, and of its text."""
+_LENGTH, _SEQUENCE = struct.Struct("<I"), struct.Struct("<Q")
+
+
+@dataclass
+class TopicContent:
+    """What a bag has of one topic.
+
+    Parameters
+    ----------
+    messages
+        How many.
+    gaps, missing
+        Where their numbers rise by more than 1, in the order of recording, and numbers that are missing there.
+    lost
+        Messages published and not recorded, as far as is known; None where they were not counted.
+    first_time, last_time
+        Least and greatest log time [ns]; None without a message, and where the bag does not say.
+    first_number
+        `sequence` of the first message; None for topics without such numbers, and where the bag does not say.
+    numbers
+        All that were read; None for topics that have none.
+    steps_back
+        Whether log times step back.
+    """
+
+    messages: int = 0
+    gaps: int = 0
+    missing: int = 0
+    lost: int | None = 0
+    first_time: int | None = None
+    last_time: int | None = None
+    first_number: int | None = None
+    numbers: NumberRanges | None = field(default=None, compare=False)
+    steps_back: bool = False
+    _last: tuple[int, int] = field(default=(-1, -1), compare=False)
+    _counter: SequenceCounter = field(default_factory=SequenceCounter, compare=False)
+
+    @classmethod
+    def of(cls, definition: str) -> TopicContent:
+        """Nothing yet, of a topic with this `definition` (.msg) of its messages' type.
+
+        Messages are numbered that begin with a header and a `sequence`, as the rig's do.
+        """
+        numbered = _NUMBERED.match(_NO_FIELD.sub("", definition))
+        return cls(numbers=NumberRanges() if numbered else None)
+
+    @property
+    def rate(self) -> float:
+        """Messages a second between the first and the last; 0 where there are fewer than two."""
+        span = 1e-9 * ((self.last_time or 0) - (self.first_time or 0))
+        return (self.messages - 1) / span if span else 0.0
+
+    def write(self, times: Sequence[int], records: bytes, begins: Sequence[int]) -> None:
+        """Count messages with these log `times` [ns] that were written at `begins` in a chunk of `records`."""
+        self._add_times(len(times), min(times), max(times))
+        if self.numbers is None:
+            return
+        for begin in begins:
+            try:
+                (size,) = _LENGTH.unpack_from(records, begin + _LENGTH_OFFSET)
+                end = _FRAME_OFFSET - MESSAGE_HEAD_SIZE + size
+                (number,) = _SEQUENCE.unpack_from(records, begin + MESSAGE_HEAD_SIZE + end + (4 - end) % 8)
+            except struct.error:
+                continue
+            self.first_number = number if self.first_number is None else self.first_number
+            self._counter.add(number)
+        self.gaps, self.missing = self._counter.gaps, self._counter.missing
+
+    def read(self, messages: Messages) -> bool:
+        """Count messages that were read, in the order of the file; returns whether the clock was set back before them.
+
+        How many are missing is then known of all `numbers`.
+        """
+        log_time = messages.log_time
+        self._add_times(log_time.size, int(log_time.min()), int(log_time.max()))
+        before, number_before = self._last
+        self.steps_back |= bool((np.diff(log_time, prepend=max(before, 0)) < -_OUT_OF_TURN).any())
+        number, set_back = -1, False
+        if self.numbers is not None:
+            numbers = sequence_numbers(messages)
+            if numbers.size:
+                self.numbers.add(numbers)
+                self.first_number = int(numbers[0]) if self.first_number is None else self.first_number
+                number = int(numbers[-1])
+            if numbers.size == log_time.size:
+                times = log_time
+                if number_before >= 0:
+                    times, numbers = np.append(before, times), np.append(np.uint64(number_before), numbers)
+                set_back = clock_was_set_back(times, numbers)
+        self._last = int(log_time[-1]), number
+        return set_back
+
+    def _add_times(self, count: int, first: int, last: int) -> None:
+        self.messages += count
+        self.first_time = first if self.first_time is None else min(self.first_time, first)
+        self.last_time = last if self.last_time is None else max(self.last_time, last)
+
+
+def sequence_numbers(messages: Messages) -> NDArray[np.uint64]:
+    """The `sequence` of numbered messages, without those that are too short to have one."""
+    if messages.sizes.size and messages.sizes.min() < _FRAME_OFFSET:
+        messages = messages.chosen(messages.sizes >= _FRAME_OFFSET)
+    # the number follows the frame_id, aligned to 8 bytes from the end of the encapsulation's 4 bytes
+    text_end = messages.numbers("<u4", _LENGTH_OFFSET).astype(np.int64) + _FRAME_OFFSET - MESSAGE_HEAD_SIZE
+    offset = MESSAGE_HEAD_SIZE + text_end + (4 - text_end) % 8
+    fits = offset + 8 <= messages.sizes
+    if not fits.all():
+        messages, offset = messages.chosen(fits), offset[fits]
+    numbers: NDArray[np.uint64] = messages.numbers("<u8", offset)
+    return numbers
+
+
+def counts_record(contents: Mapping[str, TopicContent]) -> dict[str, str]:
+    """The texts of the metadata record from `contents` by topic."""
+    return {topic: json.dumps({name: getattr(one, name) for name in _RECORDED}) for topic, one in contents.items()}
+
+
+def recorded_contents(records: Mapping[str, Mapping[str, str]]) -> dict[str, TopicContent]:
+    """What was counted at writing by topic, of those topics that a bag's metadata `records` have."""
+    found = {}
+    for topic, text in records.get(COUNTS_RECORD, {}).items():
+        with contextlib.suppress(ValueError, TypeError, AttributeError):
+            counts: dict[str, Any] = {name: json.loads(text).get(name) for name in _RECORDED}
+            if all(isinstance(counts[name], int) for name in _RECORDED[:3]):
+                found[topic] = TopicContent(**counts)
+    return found

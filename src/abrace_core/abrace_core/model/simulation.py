@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Discrete models run over whole records: free, or with a controller whose commands are limited."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from abrace_core import AbraceError
+from abrace_core.model.linear_model import LinearModel, takes_models
+from abrace_core.model.stepping import check_finite, connect, histories
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@takes_models
+def simulate(model: LinearModel, inputs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Outputs of a discrete model driven by given inputs, from rest.
+
+    Parameters
+    ----------
+    model
+        Discrete model, stable or not.
+    inputs
+        (samples, inputs), finite.
+
+    Returns
+    -------
+    NDArray
+        (samples, outputs).
+
+    Raises
+    ------
+    AbraceError
+        If the model is continuous, or the inputs do not fit it.
+    """
+    if not model.sample_period:
+        raise AbraceError("simulate: expected a discrete model")
+    inputs = np.asarray(inputs, dtype=np.float64)
+    if inputs.ndim != 2 or inputs.shape[1] != len(model.inputs):
+        raise AbraceError(f"simulate: inputs of shape {inputs.shape}, expected (samples, {len(model.inputs)})")
+    check_finite("simulate: inputs", inputs)
+    return histories(model, inputs, np.zeros(0))[0]
+
+
+@takes_models
+def simulate_closed_loop(
+    model: LinearModel,
+    controller: LinearModel,
+    ground_acceleration: NDArray[np.float64],
+    capacity: NDArray[np.float64],
+    correction: NDArray[np.float64] | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Run a controller (Eq. 13) on a discrete model from rest, with the rig's timing and saturation.
+
+    The command computed from sample k acts from sample k+1 on, as in the graph.
+
+    Parameters
+    ----------
+    model
+        Discrete model; its first input is the ground acceleration, the others are the controller's outputs.
+    controller
+        Discrete model from some of the outputs to the commands, at the same sample period.
+    ground_acceleration
+        (samples,) [m/s^2], finite.
+    capacity
+        (commands,) [N]; commands are limited to +-capacity.
+    correction
+        (controller's states, commands): added to its next state for each newton that saturation takes from a command,
+        so that its estimate follows the limited command (`Controller.correction`); None: Eq. (13) as printed, which
+        winds up.
+
+    Returns
+    -------
+    outputs, commands
+        (samples, outputs), and (samples, commands): the command in force until each sample, as in a Response.
+
+    Raises
+    ------
+    AbraceError
+        If model, controller, motion and capacity do not fit each other.
+    """
+    ground = np.asarray(ground_acceleration, dtype=np.float64)
+    if ground.ndim != 1:
+        raise AbraceError(f"closed loop: ground acceleration of shape {ground.shape}, expected (samples,)")
+    check_finite("closed loop: ground acceleration", ground)
+    series = connect(model, controller, capacity, correction)
+    limit = np.array(capacity, dtype=np.float64)
+    outputs, in_force = histories(series, ground[:, None], limit)
+    return outputs, np.vstack([np.zeros((1, len(limit))), in_force[:-1]])[: len(ground)]

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Transport: the QoS of streams, the Fast DDS profile of a node, and how it leaves the graph.
+
+The profile is `config/streams.xml` if the node's messages must not be delayed, else `shared_memory.xml`.
+
+Before its first message to a listener in shared memory Fast DDS checks whether the listener is alive, and may sleep a
+third of a second for the answer (`SharedMemGlobal::Port::healthy_check`): in `publish`, during a run, when a node
+joins. Therefore nodes that stream use UDP alone. With UDP a reader that joins a running writer learns only from
+heartbeats that it does not get the earlier samples. In lockstep, where delays do no harm, all nodes use shared memory.
+
+A node that joins discovers the running nodes with their next announcement. With Fast DDS's default of 3 s the first
+stop of a new sender would be that late, so the profiles set a shorter period.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+STREAM_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+"""QoS of the rig's subscriptions to `brace_command` and `ground_motion`: only the newest late messages matter."""
+KEPT_STREAM_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
+"""QoS of subscriptions that must not miss a sample, and, with a lifespan, of the publishers of streams.
+
+With a depth of ten, a logger that a busy machine delayed by some milliseconds lost samples of a lockstep run, and a
+commander that joined a running rig lost samples one time in two: the 50 to 80 samples that are published during
+discovery arrive all at once.
+"""
+_LIFESPAN = Duration(seconds=3)
+"""For which a publisher keeps what a subscriber has not acknowledged.
+
+A subscriber that was killed acknowledges nothing until Fast DDS removes it, 20 s later. That holds up the publisher:
+by 70 to 140 ms with the 5000 samples of 10 s, which is a fault of the rig; by 7 ms with those of 3 s (2 s: 3, 4 s: 13),
+fewer samples than commanders bridge.
+
+When a node joins, Fast DDS 2.14 may keep for ever some messages that all others acknowledge just then
+(`StatefulWriter::check_acked_status` takes the new reader for one that has acknowledged all). With each heartbeat it
+lists, and each subscriber goes through, the sequence numbers from the oldest of them to the present one
+(`add_gaps_for_holes_in_history_`). Without a lifespan that took 80 % of a processor at either end after an hour.
+"""
+LOCKSTEP_STREAM_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+"""QoS of the samples of a lockstep run: none is overwritten; the rig keeps all and waits for slow subscribers."""
+
+TRANSIENT_LOCAL_QOS = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+
+PAUSE = 0.02
+"""Seconds between the end of a node and that of its DDS participant: other processes handle the first meanwhile."""
+
+_PROFILES_FILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+CHOICES = (_PROFILES_FILE, "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
+"""Environment variables by which users choose transports themselves."""
+
+_THIS_HOST = """<builtin>
+<metatrafficUnicastLocatorList><locator><udpv4/></locator></metatrafficUnicastLocatorList>
+<initialPeersList><locator><udpv4><address>127.0.0.1</address></udpv4></locator></initialPeersList>
+"""
+"""rmw_fastrtps 8.4's settings for ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, without the shared memory that it adds."""
+
+
+def _installed(name: str) -> Path:
+    return Path(get_package_share_directory("abrace_node")) / "config" / name
+
+
+def lockstep_environment() -> dict[str, str]:
+    """Environment variables for the processes of a lockstep run; none if one of CHOICES is set."""
+    if any(name in os.environ for name in CHOICES):
+        return {}
+    return {_PROFILES_FILE: str(_installed("shared_memory.xml"))}
+
+
+def is_lockstep() -> bool:
+    """Whether this process has the `lockstep_environment`."""
+    return os.environ.get(_PROFILES_FILE) == str(_installed("shared_memory.xml"))
+
+
+@contextlib.contextmanager
+def profile(streams: bool) -> Iterator[None]:
+    """Set the DDS profile of the participant created within the block: of a node that `streams`, or of another one.
+
+    No profile is set if the environment has one of CHOICES, nor for a node that streams if ROS_STATIC_PEERS is set and
+    the discovery range is LOCALHOST.
+    """
+    reach = os.environ.get(_RANGE, "")
+    local = streams and reach.upper() == "LOCALHOST"
+    if any(name in os.environ for name in CHOICES) or (local and os.environ.get("ROS_STATIC_PEERS")):
+        yield
+        return
+    installed = _installed("streams.xml" if streams else "shared_memory.xml")
+    with tempfile.NamedTemporaryFile("w", prefix="abrace_", suffix=".xml") as file:
+        os.environ[_PROFILES_FILE] = str(installed)
+        if local:
+            file.write(installed.read_text(encoding="utf-8").replace("<builtin>", _THIS_HOST))
+            file.flush()
+            os.environ.update({_PROFILES_FILE: file.name, _RANGE: "SYSTEM_DEFAULT"})
+        try:
+            yield
+        finally:
+            del os.environ[_PROFILES_FILE]
+            if local:
+                os.environ[_RANGE] = reach
+
+
+def published_stream_qos(depth: int = KEPT_STREAM_QOS.depth) -> QoSProfile:
+    """QoS of the publishers of streams: KEPT_STREAM_QOS, with a lifespan.
+
+    In a lockstep run nothing expires. The rig waits for a subscriber that is 5000 samples behind; once that one has got
+    these, and not yet the answers to them, there are up to 5000 answers more.
+    """
+    if is_lockstep():
+        return QoSProfile(depth=2 * depth, reliability=ReliabilityPolicy.RELIABLE)
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, lifespan=_LIFESPAN)
+
+
+def destroy(node: Node) -> None:
+    """Destroy the only node of its context, so that no other process lists it any longer.
+
+    Other processes receive the end of a node and that of its DDS participant in two threads. A busy process that is
+    still handling the first when the second arrives lists the node for as long as it runs: 5 of 140 loggers that were
+    ended by many signals. Therefore a second, hidden node keeps the participant a moment longer.
+    """
+    context = node.context.handle
+    with context:
+        keeper = rclpy_implementation.Node(
+            f"_{node.get_name()}_leaves", node.get_namespace(), context, None, False, False
+        )
+    node.destroy_node()
+    time.sleep(PAUSE)
+    keeper.destroy_when_not_in_use()

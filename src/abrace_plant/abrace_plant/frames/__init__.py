@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Plane frames: takes nodes, members and masses, gives matrices, smaller models with their errors, and moments."""

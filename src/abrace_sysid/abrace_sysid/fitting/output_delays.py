@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Delays of single outputs against the inputs: the time shift with which known modes explain an output best.
+
+The modes' shapes are complex and free, and follow a delay at each resonance. Between and beside the resonances they
+cannot: a delay there multiplies the tails of all modes and the direct terms by exp(-i w t). So the likelihood over the
+shift of one output has a maximum at its delay, whatever the output measures.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from abrace_sysid.fitting.curve_fit import stacked
+from abrace_sysid.fitting.pole_basis import forced, transients
+from abrace_sysid.fitting.pole_estimate import NORMAL_95
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_sysid.fitting.observation import Observation
+
+MOST_SAMPLES, GRID = 8, 0.25
+"""Greatest delay that is searched, and the steps of the search, in samples."""
+
+MODEL_ERROR = 0.02
+"""Standard deviation [samples] that the tails of modes above the band, and the ends of a record, add."""
+
+CERTAIN = 5.0
+"""A delay is claimed from so many standard deviations on."""
+
+EXPLAINS = 0.7
+"""Greatest share that a delay leaves. Where the model errs otherwise (clipped, nonlinear) it leaves 0.89 and more."""
+
+SETTLED = 0.02
+"""Samples; a smaller change ends the iterations."""
+
+ITERATIONS = 8
+"""Most Gauss-Newton steps to the maximum near that of the search."""
+
+LINES = 4000
+"""Approximate number of a record's lines that are used."""
+
+PIECES = 16
+"""Parts of the band whose scores are taken as independent, for the standard deviation."""
+
+
+class Delay(NamedTuple):
+    """A delay [s] of an output, positive if it is late, with its standard deviation.
+
+    `left` is the share that remains, with it, of the power that the modes alone do not explain.
+    """
+
+    seconds: float
+    deviation: float
+    left: float
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether it is far beyond its uncertainty, and explains what the modes do not."""
+        return abs(self.seconds) > CERTAIN * self.deviation and self.left < EXPLAINS
+
+    def words(self, sample_period: float) -> str:
+        """As "3.00 ± 0.02 samples (15 ms) late", in samples of `sample_period` [s]."""
+        samples, spread = abs(self.seconds) / sample_period, NORMAL_95 * self.deviation / sample_period
+        side = "late" if self.seconds > 0 else "early"
+        return f"{samples:.2f} ± {spread:.2f} samples ({1e3 * abs(self.seconds):.3g} ms) {side}"
+
+
+def output_delays(observations: Sequence[Observation], poles: NDArray[np.complex128]) -> tuple[Delay, ...]:
+    """The delay of each output against the inputs.
+
+    Parameters
+    ----------
+    observations
+        Records of one structure, with noise.
+    poles
+        Of the modes, and of the pairs that represent modes above the band [rad/s].
+    """
+    records = [one.thinned(LINES) for one in observations]
+    period = records[0].samplings[0].sample_period
+    bases = []
+    for one in records:
+        columns: list[NDArray[np.complex128]] = [
+            *forced(poles, one.z, one.samplings, one.excitation),
+            *one.excitation.T,
+        ]
+        columns += transients(poles, one.z, one.samplings[0])
+        # the shift is circular: samples that leave at one end of the record come in at the other
+        columns += [one.z ** float(sample) for sample in range(-MOST_SAMPLES, MOST_SAMPLES + 1)]
+        basis = stacked(np.column_stack(columns).astype(np.complex128) / one.noise_level[:, None])
+        bases.append(np.linalg.qr(basis / np.linalg.norm(basis, axis=0))[0])
+
+    def left_over(record: int, lines: NDArray[np.complex128]) -> NDArray[np.float64]:
+        q, values = bases[record], stacked(lines / records[record].noise_level[:, None])
+        return np.asarray(values - q @ (q.T @ values))
+
+    grid = np.arange(-MOST_SAMPLES, MOST_SAMPLES + GRID, GRID) * period
+    found = []
+    for channel in range(len(records[0].outputs)):
+        cost, lines = np.zeros(len(grid)), sum(len(one.z) for one in records)
+        for i, one in enumerate(records):
+            turned = one.measured[:, [channel]] * np.exp(1j * np.outer(one.omega, grid))
+            power = np.sum(left_over(i, turned) ** 2, axis=0)
+            cost += len(one.z) * np.log(np.maximum(power, np.finfo(float).tiny))
+        seconds = float(grid[np.argmin(cost)])
+        for _ in range(ITERATIONS):
+            curvature, scores, least = 0.0, [], 0.0
+            for i, one in enumerate(records):
+                turned = one.measured[:, [channel]] * np.exp(1j * one.omega * seconds)[:, None]
+                rest = left_over(i, turned)
+                slope = left_over(i, 1j * one.omega[:, None] * turned)
+                power = max(float(np.mean(rest**2)), np.finfo(float).tiny)
+                curvature += float(np.sum(slope**2)) / power
+                least += len(one.z) * np.log(power * 2 * len(one.z))
+                of_lines = (slope * rest).reshape(2, -1).sum(axis=0) / power
+                scores += [float(part.sum()) for part in np.array_split(of_lines, PIECES)]
+            if not curvature > 0:
+                break
+            step = sum(scores) / curvature
+            seconds -= float(np.clip(step, -GRID * period, GRID * period))
+        random = float(np.sqrt(np.sum(np.square(scores)))) / curvature if curvature > 0 else np.inf
+        left = float(np.exp((least - cost[len(grid) // 2]) / lines))
+        found.append(Delay(seconds, float(np.hypot(random, MODEL_ERROR * period)), left))
+    return tuple(found)
