@@ -4,33 +4,12 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -eo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup records same-ros tools demo docs reference lint test test-computing test-versions test-pip test-sourced verify bench soak clean
+.PHONY: help setup records same-ros tools demo docs reference lint test test-computing test-pip test-sourced verify bench soak clean
 
 ENVIRONMENT := source ros2_ws/setup.bash
-# the tests start hundreds of Python processes: each would compile abrace anew
-TEST_ENVIRONMENT := export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1; unset PYTHONDONTWRITEBYTECODE
-# some tests wait: one more at a time than there are processors; the long modules first (conftest.py)
-TEST := python -m pytest --numprocesses $(shell expr $$(nproc) + 1) --dist loadfile --no-loadscope-reorder
-# what a processor, or the BLAS for it, may compute otherwise: fits, eigenvalues, Riccati equations, exponentials
-COMPUTING := $(foreach name, abrace_sysid/ambient abrace_sysid/identification abrace_sysid/maximum_likelihood \
-  abrace_sysid/paper abrace_sysid/realization abrace_sysid/reduction abrace_sysid/several_groups \
-  abrace_sysid/uncertainty abrace_sysid/validity abrace_sysid/vector_fitting abrace_lqg/control_systems \
-  abrace_lqg/design abrace_lqg/disk_margin abrace_lqg/margins abrace_lqg/own_algebra abrace_lqg/scaling \
-  abrace_studies/frame abrace_studies/loop_extremes abrace_core/linear_model abrace_core/model_ensemble \
-  abrace_core/multisine abrace_core/simulation abrace_plant/building abrace_plant/characteristics, \
-  tests/$(dir $(name))test_$(notdir $(name)).py)
-# what another Python, NumPy, Matplotlib or pydantic may read, write or draw otherwise; the demo identifies, designs and
-# runs every node
-ON_OTHER_VERSIONS := $(addprefix tests/,project/test_packages.py $(addprefix abrace_core/test_, \
-  chart.py compiled.py controller_file.py drawing.py linear_model.py quantity.py reading.py wire.py) \
-  abrace_bags/test_reader.py abrace_bags/test_writer.py abrace_sysid/test_figures.py abrace/test_report.py \
-  abrace/test_campaign_file.py)
-define STYLE
-ruff check .
-ruff format --check .
-endef
+RUN_STAGES = $${PYTHON:-python3} tests/runner $(if $(filter-out 0,$(STRICT)),--strict)
 TYPES = $(if $(ROS_DISTRO),true,mypy $(foreach package,$(PACKAGES),src/$(package)/$(package)) $(wildcard docs/*.py) \
-  $(filter-out %.launch.py,$(wildcard examples/*/*/*.py)) benchmarks tests/support)
+  $(filter-out %.launch.py,$(wildcard examples/*/*/*.py)) benchmarks tests/support tests/runner)
 PACKAGES := abrace_core abrace_node abrace_bags abrace_plant abrace_sysid abrace_lqg abrace_studies abrace abrace_bringup
 # what a build copies or generates; Python modules are linked, edits to them need no build
 BUILT_FROM := $(shell find src -name package.xml -o -name 'setup.*' -o -name CMakeLists.txt -o -name '*.msg' \
@@ -89,27 +68,17 @@ reference: tools  ## regenerate the pages of docs that are made from the code (d
 
 lint: tools  ## ruff and mypy (its types are those of NumPy 2: not where ROS 2 is sourced)
 	@$(ENVIRONMENT)
-	$(STYLE)
-	$(TYPES)
+	failed=0
+	ruff check --output-format concise . || failed=1
+	ruff format --check . || failed=1
+	$(TYPES) || failed=1
+	exit $$failed
 
-test: tools  ## lint and all tests: the libraries', then the graph's three files at a time, then what takes all processors
-	@$(ENVIRONMENT)
-	$(TEST_ENVIRONMENT)
-	$(STYLE)
-	$(TYPES)
-	$(TEST) --ignore tests/graph
-	python -m pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder -m "not alone" tests/graph
-	python -m pytest -m alone tests/graph
+test: tools  ## lint and all tests; STAGES="graph alone": some of them; STRICT=1: an unsteady test is a failure
+	@$(RUN_STAGES) $(or $(STAGES),lint libraries graph alone)
 
-test-computing: tools  ## the tests that compute: with OPENBLAS_CORETYPE as on other processors
-	@$(ENVIRONMENT)
-	$(TEST_ENVIRONMENT)
-	$(TEST) $(COMPUTING)
-
-test-versions: tools
-	@$(ENVIRONMENT)
-	$(TEST_ENVIRONMENT)
-	$(TEST) $(ON_OTHER_VERSIONS)
+test-computing: tools  ## the tests that compute, by the kernels for an old processor
+	@$(RUN_STAGES) old_processor
 
 test-pip:  ## `pip install .` with PYTHON in an empty environment, and the first lines of docs/python.md there
 	@rm -rf .pip
@@ -123,7 +92,7 @@ test-pip:  ## `pip install .` with PYTHON in an empty environment, and the first
 
 # a copy of the tracked files is set up and tested there: .venv and the workspace of this folder stay as they are
 test-sourced: .sourced/.made  ## set-up, demo, own packages and some tests where ROS 2 is sourced: a machine made in .sourced
-	@.ci/sourced
+	@$(RUN_STAGES) sourced versions
 
 .sourced/.made: $(addprefix requirements/,ubuntu.sh ubuntu.txt ros.txt lock.txt lock_beside.sh)
 	@requirements/ubuntu.sh .sourced

@@ -90,7 +90,10 @@ WHERE = (
         "`abrace/interactive`, which calls the libraries and computes nothing; named in `abrace/__init__.py`",
     ),
     ("message to a user", "where it is raised; of files `abrace_core/files/config_mistakes.py`"),
-    ("test", "`tests/PACKAGE/test_MODULE.py`; of running nodes `tests/graph`; what tests share `tests/support`"),
+    (
+        "test",
+        "`tests/PACKAGE/test_MODULE.py`; of nodes `tests/graph`; shared `tests/support`; what runs them `tests/runner`",
+    ),
     (
         "number that abrace claims",
         "`benchmarks`: accuracy in `make verify`, speed in `make bench`, endurance in `make soak`",

@@ -59,7 +59,9 @@ NAMES_OF_PIP = {
     "Pynite": "PyNiteFEA",
 }
 MODULES_OF_TESTS = {
-    path.stem for folder in ("tests/support", "benchmarks", "docs") for path in (ROOT / folder).glob("*.py")
+    path.stem
+    for folder in ("tests/support", "tests/runner", "benchmarks", "docs")
+    for path in (ROOT / folder).glob("*.py")
 }
 PACKAGES = {"abrace_interfaces", *FLOORS} - {"abrace"}
 """Named in a text they are a dependency; `abrace` is so for launch alone, else it is the name of other things."""
