@@ -11,6 +11,7 @@ from __future__ import annotations
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -71,6 +72,8 @@ WATCH_PERIOD = 0.05
 """Seconds between looks whether a page is lost."""
 LOOK_PERIOD = 1.0
 """Seconds between looks for nodes and their services."""
+FIND_TIME = 3.0
+"""Seconds in which a node that has just started is found: it is shown by its reports before its services are known."""
 WAITING = 8
 """Actions that may wait for their turn."""
 SAMPLES_PERIOD = 0.04
@@ -225,13 +228,25 @@ class OperatorPage(AbraceNode):
     def act(self, action: str, node: str) -> None:
         """Carry it out, and note the result."""
         try:
-            failed = [name for name, one in NodeReports(self.operator.reports).items() if one.failed]
-            for name in actions.targets(action, node, self.offers, self.get_namespace(), self.rigs, failed):
+            if action != "clear":  # whose nodes are known by their reports
+                self.operator.wait(FIND_TIME, lambda: self.finds(action, node))
+            for name in self.targets(action, node):
                 self.note(f"{name}: {self.do(action, name)}")
         except AbraceError as error:
             self.note(f"{actions.WORDS.get(action, action)}: {error}", True)
         finally:
             self.waiting.release()
+
+    def targets(self, action: str, node: str) -> list[str]:
+        """Full names of the nodes to which it is done; an AbraceError says that there is none."""
+        failed = [name for name, one in NodeReports(self.operator.reports).items() if one.failed]
+        return actions.targets(action, node, self.offers, self.get_namespace(), self.rigs, failed)
+
+    def finds(self, action: str, node: str) -> bool:
+        """Whether a node is known to which it can be done."""
+        with suppress(AbraceError):
+            return bool(self.targets(action, node))
+        return False
 
     def do(self, action: str, name: str) -> str:
         """Carry it out on a node; returns the node's answer."""
