@@ -92,7 +92,7 @@ WHERE = (
     ("message to a user", "where it is raised; of files `abrace_core/files/config_mistakes.py`"),
     (
         "test",
-        "`tests/PACKAGE/test_MODULE.py`; of nodes `tests/graph`; shared `tests/support`; what runs them `tests/runner`",
+        "`tests/PACKAGE/test_MODULE.py`; of nodes or by the clock `tests/graph`; shared `tests/support`",
     ),
     (
         "number that abrace claims",

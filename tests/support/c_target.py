@@ -44,6 +44,11 @@ def target_library(folder: Path) -> ctypes.CDLL:
     return library
 
 
+def target_program(folder: Path) -> Path:
+    """The target with its port for Linux, as a program."""
+    return compiled(folder / "target", SOURCES / "port_linux_udp.c", SOURCES / "abrace_target.c")
+
+
 def command_packet(counter: int, arm: int, wanted: int, outputs: list[float]) -> bytes:
     """A command as docs/target.md describes it."""
     body = struct.pack(f"<IIIII{len(outputs)}d", 0x41425232, 2, counter % 2**32, arm % 2**32, wanted, *outputs)
