@@ -244,7 +244,7 @@ from stage_runner import Runner
 from stages import Stage
 stop_when_asked()
 runner = Runner(Path("."))
-runner.run([[[Stage(name, ("sleep", "1234"), 2000.0)]] for name in ("first", "second")])
+runner.run([[[Stage(name, ("bash", "-c", "echo runs; exec sleep 1234"), 2000.0)]] for name in ("first", "second")])
 print(*(line for found in runner.outcomes.values() for line in found.failed().items()))
 """
 
@@ -252,10 +252,10 @@ print(*(line for found in runner.outcomes.values() for line in found.failed().it
 def test_an_interrupted_run_says_what_is_known(tmp_path):
     command = [sys.executable, "-c", INTERRUPTED, str(ROOT / "tests/runner")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
-        assert process.stdout.readline() == "abrace: first begins\n"
+        assert [process.stdout.readline() for _ in range(2)] == ["abrace: first begins\n", "runs\n"]
         process.send_signal(signal.SIGINT)
         said = process.communicate(timeout=60)[0]
-    assert said.splitlines()[-1] == "('first', 'interrupted\\n') ('second', 'not run: interrupted\\n')"
+    assert said.splitlines()[-1] == "('first', 'interrupted\\nruns') ('second', 'not run: interrupted\\n')"
 
 
 def test_every_stage_stands_in_one_step():
