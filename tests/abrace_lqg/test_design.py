@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import astuple, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +12,11 @@ import pytest
 from abrace_core import AbraceError
 from abrace_core.model.discretization import discretize
 from abrace_core.model.linear_model import LinearModel
+from abrace_lqg.analysis.margins import margins
 from abrace_lqg.design import delayed, design
-from abrace_lqg.weights import Weights
+from abrace_lqg.proof.limits import OBJECTIONS, DesignOptions
+from abrace_lqg.proof.proven_design import proven_design
+from abrace_lqg.weights import Weights, load_weights
 
 PERIOD = 0.002
 
@@ -77,6 +81,44 @@ def test_the_units_of_the_states_do_not_matter():
     odd = design(storey(displacement_unit=1e9), weights(), PERIOD).controller
     omega = np.geomspace(0.1, 1000, 200)
     np.testing.assert_allclose(odd.frequency_response(omega), plain.frequency_response(omega), rtol=1e-8)
+
+
+def in_g_mm_and_kn() -> LinearModel:
+    """`storey`, its ground motion and acceleration in g, its displacement in mm, its command in kN, as it states."""
+    model = storey()
+    into, out_of = np.array([9.80665, 1000.0]), np.array([1000.0, 1 / 9.80665])
+    scaled = {"b": model.b * into, "c": model.c * out_of[:, None], "d": model.d * into * out_of[:, None]}
+    return replace(model, **scaled, units={"w": "g", "U": "kN", "x1": "mm", "a1": "g"})
+
+
+def test_a_model_in_g_mm_and_kn_gives_the_controller_of_the_model_in_si_units():
+    expected, found = (design(model, weights(), PERIOD).controller for model in (storey(), in_g_mm_and_kn()))
+    omega = np.linspace(1, 100, 50)
+    np.testing.assert_allclose(found.frequency_response(omega), expected.frequency_response(omega), rtol=1e-6)
+    assert found.units == {}, "the law takes and gives SI units"
+    true, converted = (margins(model, found) for model in (storey(), in_g_mm_and_kn()))
+    np.testing.assert_allclose(astuple(converted), astuple(true), rtol=1e-6)
+
+
+def test_weights_with_a_scale_and_a_proof_take_a_model_in_other_units():
+    loaded = load_weights(Path(__file__).parents[2] / "src/abrace_lqg/config/half.yaml")
+    options = DesignOptions(sample_period=PERIOD, force_limit=(2000.0,), accept=tuple(OBJECTIONS))
+    expected, found = (
+        proven_design({"model": model}, weights=loaded, weights_name="half", options=options)
+        for model in (storey(), in_g_mm_and_kn())
+    )
+    assert found.margins.gain_db == pytest.approx(expected.margins.gain_db, rel=1e-4)
+    assert found.proof.models[0].prediction["x1"] == pytest.approx(expected.proof.models[0].prediction["x1"], rel=1e-4)
+
+
+def test_a_command_in_volts_is_refused_by_design_and_margins():
+    model = replace(storey(), units={"U": "V"})
+    for refused in (
+        lambda: design(model, weights(), PERIOD),
+        lambda: margins(model, design(storey(), weights(), PERIOD).controller),
+    ):
+        with pytest.raises(AbraceError, match="model input U in 'V': expected N, or a unit that converts to it"):
+            refused()
 
 
 def test_the_controller_carries_names_period_and_provenance():

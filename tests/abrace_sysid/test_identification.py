@@ -15,6 +15,7 @@ from abrace_sysid.fitting.options import IdentificationOptions
 from abrace_sysid.fitting.order_selection import no_modes
 from abrace_sysid.fitting.pole_estimate import PoleInterval
 from abrace_sysid.identification import identify
+from abrace_sysid.recorded.test import Test
 from abrace_sysid.validation import compare
 from abrace_sysid.validity.judgement import judge
 
@@ -44,6 +45,19 @@ def test_poles_are_as_accurate_as_the_length_of_the_tests_allows(identified, of_
     """Of 240 and of 60 s; of many seeds and lengths, and their intervals: `make verify`."""
     expect_poles_within(identified, rig, (0.0003, 0.01), (0.001, 0.035))
     expect_poles_within(of_a_minute, rig, (0.001, 0.02), (0.002, 0.05))
+
+
+def test_tests_of_a_rig_that_state_g_and_mm_give_the_model_in_si_units(of_a_minute, rig, laboratory_of):
+    laboratory = laboratory_of(rig, 4)
+    stated = []
+    for test in map(Test.of, (laboratory.table_test(60), laboratory.command_test(60))):
+        factors = [{"a1": 1 / 9.80665, "x2": 1000.0}.get(name, 1.0) for name in test.names]
+        stated.append(replace(test, outputs=test.outputs * factors, units={"a1": "g", "x2": "mm"}))
+    found, omega = identify(*stated).model, 2 * np.pi * np.array([1.0, 4.0, 10.0])
+    assert found.units == {}
+    np.testing.assert_allclose(
+        found.frequency_response(omega), of_a_minute.model.frequency_response(omega), rtol=1e-3, atol=1e-9
+    )
 
 
 def test_multisines_on_both_inputs_at_once_find_the_poles_from_one_test(rig, laboratory_of):

@@ -40,6 +40,14 @@ def test_names_delays_and_feedthrough_are_kept(model):
     assert reduced.order == 3
 
 
+def test_units_are_kept_by_reduction_and_superposition_and_must_agree(model):
+    in_g = replace(model, units={"w": "g", "a1": "g"})
+    assert balanced_truncation(in_g, 3, UNITS).model.units == {"w": "g", "a1": "g"}
+    assert superpose([in_g, in_g], model.inputs, model.outputs).units == {"w": "g", "a1": "g"}
+    with pytest.raises(AbraceError, match="superposition: w in 'g' and in 'SI units'"):
+        superpose([in_g, model], model.inputs, model.outputs)
+
+
 def test_copies_and_hidden_states_are_cut_without_loss(model):
     doubled = superpose([model, model], model.inputs, model.outputs)
     hidden = replace(

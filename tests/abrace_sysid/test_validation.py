@@ -163,3 +163,21 @@ def test_a_channel_that_the_model_does_not_have_is_not_compared_and_named(rig, l
     assert comparison.correlation()["a2"] > 0.999
     found = predicted(comparison)
     assert (found.verdict, found.where) == (Verdict.CARE, "x2, x3, a1, a3, f")
+
+
+def test_a_test_in_g_and_a_model_in_mm_and_kn_are_compared_in_si_units(rig, command_test):
+    expected = compare(command_test, rig.model, None, rig.capacity)
+    test = Test.of(command_test) if not isinstance(command_test, Test) else command_test
+    a1 = test.names.index("a1")
+    factors = np.where(np.arange(len(test.names)) == a1, 1 / 9.80665, 1.0)
+    in_g = replace(test, outputs=test.outputs * factors, units={"a1": "g"})
+    x1, c, d = rig.model.outputs.index("x1"), rig.model.c.copy(), rig.model.d.copy()
+    c[x1], d[x1] = 1000 * c[x1], 1000 * d[x1]
+    b, command = rig.model.b.copy(), rig.model.inputs.index("U")
+    b[:, command], d[:, command] = 1000 * b[:, command], 1000 * d[:, command]
+    scaled = replace(rig.model, b=b, c=c, d=d, units={"x1": "mm", "U": "kN"})
+    found = compare(in_g, scaled, None, rig.capacity)
+    np.testing.assert_allclose(found.measured, expected.measured, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(found.simulated, expected.simulated, rtol=1e-6, atol=1e-9)
+    with pytest.raises(AbraceError, match="channel a1 in 'V': expected m/s"):
+        compare(replace(test, units={"a1": "V"}), rig.model, None, rig.capacity)

@@ -23,6 +23,7 @@ from scipy import linalg
 from abrace_core import AbraceError
 from abrace_core.model import signals
 from abrace_core.model.linear_model import LinearModel, balanced, takes_models
+from abrace_core.model.si_units import in_si_units
 from abrace_lqg.loop import is_stable
 from abrace_lqg.riccati import kalman, regulator
 
@@ -71,7 +72,8 @@ def design(model: LinearModel, weights: Weights, sample_period: float) -> Contro
     Parameters
     ----------
     model
-        Continuous; its first input is the ground acceleration w, the others are the commands. Any order.
+        Continuous; its first input is the ground acceleration w, the others are the commands. Any order. What has
+        another unit is converted to SI units.
     weights
         Weights, measured quantities and noise.
     sample_period
@@ -84,9 +86,10 @@ def design(model: LinearModel, weights: Weights, sample_period: float) -> Contro
     Raises
     ------
     AbraceError
-        If the model lacks ground acceleration, commands or weighed signals, a Riccati equation has no accurate
-        stabilising solution, or the closed loop is not stable.
+        If the model lacks ground acceleration, commands or weighed signals, a signal has a unit that cannot be
+        converted, a Riccati equation has no accurate stabilising solution, or the closed loop is not stable.
     """
+    model = in_si_units(model, commands=True)
     if model.sample_period or model.inputs[:1] != (signals.GROUND,) or len(model.inputs) < 2:
         raise AbraceError(
             f"design: model with inputs {', '.join(model.inputs)} and sample period {model.sample_period} s, "

@@ -17,6 +17,7 @@ import numpy as np
 from abrace_core import AbraceError
 from abrace_core.model.discretization import discretize
 from abrace_core.model.linear_model import LinearModel, pole_table, takes_models
+from abrace_core.model.si_units import in_si_units
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,7 +31,11 @@ NEGLIGIBLE_POLE = 1e-4
 
 @takes_models
 def sampled(model: LinearModel, sample_period: float) -> LinearModel:
-    """The `model` at `sample_period` [s]: commands held, ground motion linear in between; a discrete one as it is."""
+    """The `model` in SI units at `sample_period` [s]: commands held, ground motion linear in between.
+
+    A discrete one has to be of this sample period.
+    """
+    model = in_si_units(model)
     if not model.sample_period:
         return discretize(model, sample_period)
     if abs(model.sample_period - sample_period) > 1e-9 * sample_period:
@@ -45,9 +50,9 @@ def closed_loop(model: LinearModel, controller: LinearModel) -> LinearModel:
     Parameters
     ----------
     model
-        Continuous, or discrete at the controller's sample period.
+        Continuous, or discrete at the controller's sample period; its signals are converted to SI units.
     controller
-        Discrete, from some of the model's outputs to some of its inputs (Eq. 13).
+        Discrete, from some of the model's outputs to some of its inputs (Eq. 13); likewise.
 
     Returns
     -------
@@ -57,6 +62,7 @@ def closed_loop(model: LinearModel, controller: LinearModel) -> LinearModel:
     """
     import control
 
+    controller = in_si_units(controller)
     period, commands = controller.sample_period, len(controller.outputs)
     plant = sampled(model, period)
     external = tuple(name for name in plant.inputs if name not in controller.outputs)
@@ -86,7 +92,7 @@ def open_loop(model: LinearModel, controller: LinearModel, broken_at: str) -> Li
         A command or a measured quantity: its name is that of the input, and of the output, which is turned in sign so
         that the loop is on the edge of stability where L = -1.
     """
-    plant = sampled(model, controller.sample_period)
+    plant, controller = sampled(model, controller.sample_period), in_si_units(controller)
     signals = (*controller.outputs, *controller.inputs)
     if broken_at not in signals:
         raise AbraceError(f"loop broken at {broken_at!r}: expected one of {', '.join(signals)}")
@@ -135,7 +141,7 @@ class Loop:
 
     @takes_models
     def __init__(self, model: LinearModel, controller: LinearModel) -> None:
-        whole = sampled(model, controller.sample_period)
+        whole, controller = sampled(model, controller.sample_period), in_si_units(controller)
         self._plant, self._controller = whole.select(controller.inputs, controller.outputs), controller
         self.sample_period = controller.sample_period
         self.signals = (*controller.outputs, *controller.inputs)

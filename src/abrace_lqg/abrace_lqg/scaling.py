@@ -14,6 +14,7 @@ import numpy as np
 
 from abrace_core import AbraceError
 from abrace_core.model.linear_model import LinearModel, takes_models
+from abrace_core.model.si_units import in_si_units
 from abrace_lqg.analysis.prediction import predicted_rms
 from abrace_lqg.design import design
 from abrace_lqg.loop import sampled
@@ -62,6 +63,7 @@ def scaled_weights(
         If a name is none of the model's, there is not one force limit for each command, the model has no displacements
         to reduce, or no factor reaches the target.
     """
+    model = in_si_units(model, commands=True)
     commands = model.inputs[1:]
     if len(force_limit) != len(commands):
         expected = ", ".join(commands)

@@ -122,7 +122,7 @@ def identify(
     AbraceError
         If a test or an option cannot be used, or a fitted pole is unstable.
     """
-    tables, commands = given_tests(table), given_tests(command)
+    tables, commands = (tuple(test.in_si_units() for test in given_tests(given)) for given in (table, command))
     options = options or IdentificationOptions()
     progress("checking the tests", 0.0)
     for test in (*tables, *commands):

@@ -199,12 +199,13 @@ def superpose(parts: Sequence[LinearModel], inputs: tuple[str, ...], outputs: tu
     Raises
     ------
     AbraceError
-        If two parts have different delays for the same input.
+        If two parts have different delays for the same input, or different units of the same signal.
     """
     A = linalg.block_diag(*(part.a for part in parts))  # Eq. (7): A1, A2, A3
     B, C_z = np.zeros((len(A), len(inputs))), np.zeros((len(outputs), len(A)))  # B and E; Eq. (6): [C1 C2 C3]
     D_z = np.zeros((len(outputs), len(inputs)))  # D_z = D2 + D3 and F_z = D1
     delay: dict[str, float] = {}
+    units: dict[str, str] = {}
     start = 0
     for part in parts:
         states = slice(start, start + part.order)
@@ -216,8 +217,16 @@ def superpose(parts: Sequence[LinearModel], inputs: tuple[str, ...], outputs: tu
         for name, seconds in zip(part.inputs, part.input_delay, strict=True):
             if delay.setdefault(name, seconds) != seconds:
                 raise AbraceError(f"superposition: input {name} is delayed by {delay[name]} s and by {seconds} s")
+        for name in (*part.inputs, *part.outputs):
+            unit = part.units.get(name, "")
+            if units.setdefault(name, unit) != unit:
+                raise AbraceError(
+                    f"superposition: {name} in {units[name] or 'SI units'!r} and in {unit or 'SI units'!r}"
+                )
         start += part.order
-    return LinearModel(A, B, C_z, D_z, inputs, outputs, input_delay=tuple(delay.get(name, 0.0) for name in inputs))
+    delays = tuple(delay.get(name, 0.0) for name in inputs)
+    stated = {name: unit for name, unit in units.items() if unit}
+    return LinearModel(A, B, C_z, D_z, inputs, outputs, input_delay=delays, units=stated)
 
 
 class PaperModel(NamedTuple):

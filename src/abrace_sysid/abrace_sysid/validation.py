@@ -22,6 +22,7 @@ from abrace_core.model import signals
 from abrace_core.model.discretization import discretize
 from abrace_core.model.linear_model import takes_models
 from abrace_core.model.response import PeakRms, peak_rms_of
+from abrace_core.model.si_units import in_si_units
 from abrace_core.model.simulation import simulate, simulate_closed_loop
 from abrace_sysid.examination import require_rig
 from abrace_sysid.recorded.series import hann_power
@@ -172,7 +173,7 @@ def compare(
         One test of a rig; it begins at rest.
     model
         Continuous, from the ground acceleration and the commands to some of the test's quantities; the others are not
-        compared.
+        compared. What has another unit, here or in the test, is converted to SI units.
     controller
         Discrete, from some of the test's quantities to the commands, as in Eq. (13); None: the recorded command drives
         the model.
@@ -184,12 +185,15 @@ def compare(
     Raises
     ------
     AbraceError
-        If there is not one test, it has a gap, or model, controller and test are not of the same rig.
+        If there is not one test, it has a gap, model, controller and test are not of the same rig, or a signal has a
+        unit that cannot be converted.
     """
     test, *more = given_tests(given)
     if more:
         raise AbraceError(f"{test.source}: {1 + len(more)} tests, expected one")
     require_rig(test)
+    test, model = test.in_si_units(), in_si_units(model, commands=True)
+    controller = in_si_units(controller) if controller else None
     wanted, shared = (signals.GROUND, *test.commands), tuple(n for n in test.names if n in model.outputs)
     missing = [name for name in wanted if name not in model.inputs] or ([] if shared else test.names)
     if missing:

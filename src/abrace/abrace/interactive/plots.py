@@ -10,7 +10,7 @@ import numpy as np
 
 from abrace.interactive.given import several
 from abrace_core import AbraceError
-from abrace_core.figures.chart import Chart, Panel, beside, gains, time_histories
+from abrace_core.figures.chart import Chart, Panel, beside, gains, time_histories, with_unit
 from abrace_core.model import signals
 from abrace_core.model.linear_model import LinearModel, pole_table
 from abrace_core.model.plotted import draws
@@ -43,17 +43,18 @@ def _of_record(record: Record) -> Figure:
 @draws(LinearModel)
 def _of_model(model: LinearModel, *given: Any) -> Figure:
     frequency, response, shown = _response(model, *given)
-    return gains(frequency, response, shown.outputs, shown.inputs).figure()
+    return gains(frequency, response, shown.outputs, shown.inputs, _units(shown)).figure()
 
 
 @draws(LinearModel, "bode")
 def _bode(model: LinearModel, *given: Any) -> Figure:
     frequency, response, shown = _response(model, *given)
-    chart = gains(frequency, response, shown.outputs, shown.inputs)
+    chart, units = gains(frequency, response, shown.outputs, shown.inputs, _units(shown)), _units(shown)
+    names = [with_unit(name, units) for name in shown.outputs]
     angles = np.degrees(np.unwrap(np.angle(response), axis=0))
     phases = tuple(
         Panel(
-            beside(frequency, dict(zip(shown.outputs, angles[:, :, j].T, strict=True))),
+            beside(frequency, dict(zip(names, angles[:, :, j].T, strict=True))),
             "",
             "frequency [Hz]",
             "phase [deg]",
@@ -72,12 +73,14 @@ def _step(model: LinearModel, outputs: Sequence[str] | None, inputs: Sequence[st
 
     shown = model.select(outputs, inputs)
     found = control.step_response(shown.to_control(), duration or None, squeeze=False)
+    units = _units(shown)
+    names = [with_unit(name, units) for name in shown.outputs]
     panels = tuple(
         Panel(
-            beside(found.time, dict(zip(shown.outputs, found.outputs[:, j], strict=True))),
-            f"from {name}",
+            beside(found.time, dict(zip(names, found.outputs[:, j], strict=True))),
+            f"from {with_unit(name, units)}",
             "time [s]",
-            "step response [SI units]",
+            "step response" if units else "step response [SI units]",
         )
         for j, name in enumerate(shown.inputs)
     )
@@ -89,6 +92,12 @@ def _compare(model: LinearModel, test: AnyTest, channels: Sequence[str]) -> Figu
     from abrace.interactive.validation import validate
 
     return validate(test, model).plot(channels)
+
+
+def _units(model: LinearModel) -> dict[str, str]:
+    """The units of all signals of a `model` that states some; empty: it is in SI units."""
+    known = {name: model.units.get(name, signals.unit(name)) for name in (*model.inputs, *model.outputs)}
+    return {name: unit for name, unit in known.items() if unit != "-"} if model.units else {}
 
 
 def _response(

@@ -16,6 +16,7 @@ from abrace_core.model.discretization import discretize
 from abrace_core.model.noise import banded_noise
 from abrace_core.model.own_law import GuardedLaw
 from abrace_core.model.run import Run
+from abrace_core.model.si_units import in_si_units
 from abrace_core.model.simulation import simulate as simulate_model
 from abrace_core.model.simulation import simulate_closed_loop
 from abrace_core.model.table_signals import table_noise
@@ -64,7 +65,8 @@ def simulate(
     """Simulate a test, from rest.
 
     A rig is simulated as the node `plant` does it in lockstep: limits, interlocks, sensors and their noise, friction
-    where it has some. A model is linear and without noise; its commands are limited to the controller's.
+    where it has some. A model is linear and without noise; its commands are limited to the controller's. What it
+    has in other units is converted to SI units.
 
     Parameters
     ----------
@@ -103,7 +105,7 @@ def simulate(
     if rig is not None:
         fixed = 1 / rig.sample_rate
     else:
-        model = model_of(structure)
+        model = in_si_units(model_of(structure), commands=True)
         fixed = model.sample_period
     capacity = rig.capacity if rig is not None else np.array(model.provenance.get("force_limit", []))
     period = _period(fixed, checked.sample_period) or _sample_period(model, None if law else controller, capacity)

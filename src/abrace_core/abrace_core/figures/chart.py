@@ -248,7 +248,11 @@ def time_histories(
 
 
 def gains(
-    frequency: NDArray[np.float64], response: NDArray[np.complex128], outputs: Sequence[str], inputs: Sequence[str]
+    frequency: NDArray[np.float64],
+    response: NDArray[np.complex128],
+    outputs: Sequence[str],
+    inputs: Sequence[str],
+    units: Mapping[str, str],
 ) -> Chart:
     """The gain of a frequency response, a column for each input.
 
@@ -260,12 +264,26 @@ def gains(
         (frequencies, outputs, inputs).
     outputs, inputs
         Names.
+    units
+        Units of the signals by name; empty: SI units.
     """
     row = []
+    shown, y_label = [with_unit(name, units) for name in outputs], "gain" if units else "gain [SI units]"
     for j, driven_by in enumerate(inputs):
-        size = dict(zip(outputs, np.abs(response[:, :, j]).T, strict=True))
-        row.append(Panel(beside(frequency, size), f"from {driven_by}", "frequency [Hz]", "gain [SI units]", "xy"))
+        size = dict(zip(shown, np.abs(response[:, :, j]).T, strict=True))
+        title = f"from {with_unit(driven_by, units)}"
+        row.append(Panel(beside(frequency, size), title, "frequency [Hz]", y_label, "xy"))
     return Chart((tuple(row),), (1.0 + 5.0 * len(inputs), 4.4))
+
+
+def with_unit(name: str, units: Mapping[str, str]) -> str:
+    """A signal's name with its unit out of `units`; alone where it is not among them, or the name has it.
+
+    >>> with_unit("a1", {"a1": "m/s^2"}), with_unit("f", {}), with_unit("f [kN]", {"f [kN]": "kN"})
+    ('a1 [m/s²]', 'f', 'f [kN]')
+    """
+    unit = units.get(name, "")
+    return f"{name} [{unit.replace('^2', '²')}]" if unit and not name.endswith("]") else name
 
 
 def below_each_other(panels: Sequence[Panel], height: float, caption: str = "", title: str = "") -> Chart:

@@ -28,6 +28,18 @@ _SUFFIX = re.compile(r"^(?P<name>.*?)(?:[_ ]|\s*[/,]\s*)(?P<unit>s|ms|us|µs|sec
 _TIME = re.compile(r"t|.*time|time.*|tiempo|temps|zeit|tempo|.*timestamp|sampletimefine|seconds|sec", re.IGNORECASE)
 
 
+def name_and_unit(written: str) -> tuple[str, str]:
+    """The name without its unit in brackets, as `written`, and that unit; empty: it has none.
+
+    >>> name_and_unit("a1 [g]"), name_and_unit("displacement[0]")
+    (('a1', 'g'), ('displacement[0]', ''))
+    """
+    found = _NAME.match(written)
+    if found and (_OTHER_UNIT.fullmatch(found["unit"]) or unit_in_header(found["unit"])):
+        return found["name"], found["unit"]
+    return written, ""  # also of displacement[0], acceleration (x)
+
+
 @dataclass(frozen=True, eq=False)
 class Column:
     """A column: `name` without its `unit`, which is as written (empty: none), and `written` as in the file.
@@ -45,12 +57,9 @@ class Column:
     def of(cls, written: str, unit: str, cells: NDArray[Any] | Sequence[str], lines: Sequence[int] = ()) -> Self:
         """A column of the name `written`, which may end with a unit, and its `cells` in `lines`."""
         written = written.strip()
-        found = _NAME.match(written)
-        if found and not (_OTHER_UNIT.fullmatch(found["unit"]) or unit_in_header(found["unit"])):
-            found = None  # displacement[0], acceleration (x)
-        if found is None and (short := _SUFFIX.match(written)) and _TIME.fullmatch(short["name"]):
-            found = short
-        name, own = (found["name"], found["unit"]) if found else (written, "")
+        name, own = name_and_unit(written)
+        if not own and (short := _SUFFIX.match(written)) and _TIME.fullmatch(short["name"]):
+            name, own = short["name"], short["unit"]
         return cls(written, name or written, unit or own, cells, lines)
 
     @property

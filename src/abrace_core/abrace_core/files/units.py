@@ -104,6 +104,35 @@ def unit_in_header(text: str) -> Unit | None:
     return Unit(float(number[0]) * unit.factor, unit.dimension) if number else unit
 
 
+def unit_as_stated(text: str) -> Unit | None:
+    """The unit in a `text` as `unit_of` spells it, else in any usual spelling (`unit_in_header`); None: none.
+
+    >>> unit_as_stated("kN"), unit_as_stated("gal"), unit_as_stated("V")
+    (Unit(factor=1000.0, dimension=(1, 1, -2, 0)), Unit(factor=0.01, dimension=(0, 1, -2, 0)), None)
+    """
+    try:
+        return unit_of(text)
+    except ValueError:
+        return unit_in_header(text)
+
+
+def si_unit(dimension: tuple[int, int, int, int]) -> str:
+    """The SI unit with these exponents of kg, m, s and rad.
+
+    >>> si_unit(unit_of("kN").dimension), si_unit(unit_of("mm/s^2").dimension), si_unit(unit_of("Hz").dimension)
+    ('N', 'm/s^2', 'rad/s')
+    """
+    for name, unit in UNITS.items():
+        if unit == (1.0, dimension):
+            return name
+    parts = [(name, power) for name, power in zip(("kg", "m", "s", "rad"), dimension, strict=True) if power]
+    above, below = (
+        [name if abs(power) == 1 else f"{name}^{abs(power)}" for name, power in parts if sign * power > 0]
+        for sign in (1, -1)
+    )
+    return "/".join([" ".join(above) or "1", *below])
+
+
 def number_in(unit: str, value: Any) -> Any:
     """The number in `unit` that a `value` of a file means; what is no number with a unit stays as it is.
 

@@ -112,4 +112,4 @@ def discretize(model: LinearModel, sample_period: float, holds: Mapping[str, Hol
         grown[:n, states:] = into_state
         grown[states + 1 :, states:-1] = np.eye(memory - 1)
         a, b, c = grown, np.vstack([b, first]), np.hstack([c, into_output])
-    return LinearModel(a, b, c, d, model.inputs, model.outputs, period, provenance=model.provenance)
+    return LinearModel(a, b, c, d, model.inputs, model.outputs, period, provenance=model.provenance, units=model.units)

@@ -23,6 +23,7 @@ from abrace_core import AbraceError
 from abrace_core.files.config_file import Checked, validated
 from abrace_core.files.matlab_loader import load_matlab
 from abrace_core.files.reading import read_json
+from abrace_core.files.table import name_and_unit
 from abrace_core.files.writing import write_atomically, write_text
 from abrace_core.model import signals
 from abrace_core.model.plotted import figure_of
@@ -55,6 +56,7 @@ class _File(Checked, extra="ignore"):
     inputs: list[str]
     outputs: list[str]
     input_delay: list[float]
+    units: dict[str, str] = {}
     a: Rows
     b: Rows
     c: Rows
@@ -70,7 +72,8 @@ class LinearModel(Value):
     Parameters
     ----------
     a, b, c, d
-        Matrices of shapes (states, states), (states, inputs), (outputs, states), (outputs, inputs). SI units.
+        Matrices of shapes (states, states), (states, inputs), (outputs, states), (outputs, inputs). SI units but for
+        the signals in `units`.
     inputs, outputs
         Names of the signals, each once.
     sample_period
@@ -80,11 +83,14 @@ class LinearModel(Value):
     provenance
         Bags, method, options and version from which the model was made. Any JSON values; two models that differ in
         nothing else are equal.
+    units
+        Units of signals by name, as they were stated; others are in SI units (`signals.unit`). `si_units.in_si_units`
+        converts.
 
     Raises
     ------
     AbraceError
-        If shapes and names do not fit, a number is not finite, or the sample period is below 0.
+        If shapes and names do not fit, a number is not finite, the sample period is below 0, or a unit is of no signal.
     """
 
     a: NDArray[np.float64]
@@ -96,6 +102,7 @@ class LinearModel(Value):
     sample_period: float = 0.0
     input_delay: tuple[float, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict, compare=False)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for key in ("inputs", "outputs"):
@@ -118,6 +125,10 @@ class LinearModel(Value):
         if period and any(delay):
             raise AbraceError("model input_delay: a discrete model carries its delays in states, expected zeros")
         object.__setattr__(self, "input_delay", delay)
+        if unknown := [name for name in self.units if name not in (*self.inputs, *self.outputs)]:
+            known = ", ".join((*self.inputs, *self.outputs))
+            raise AbraceError(f"model units of {', '.join(map(str, unknown))}: expected of some of {known}")
+        object.__setattr__(self, "units", {str(name): str(unit) for name, unit in self.units.items()})
 
     def __repr__(self) -> str:
         kind = f"every {self.sample_period:g} s" if self.sample_period else "continuous"
@@ -177,14 +188,16 @@ class LinearModel(Value):
         """
         rows = signals.positions(self.outputs if outputs is None else outputs, self.outputs, "model has no output")
         columns = signals.positions(self.inputs if inputs is None else inputs, self.inputs, "model has no input")
+        chosen = tuple(self.inputs[j] for j in columns), tuple(self.outputs[i] for i in rows)
         return replace(
             self,
             b=self.b[:, columns],
             c=self.c[rows],
             d=self.d[np.ix_(rows, columns)],
-            inputs=tuple(self.inputs[j] for j in columns),
-            outputs=tuple(self.outputs[i] for i in rows),
+            inputs=chosen[0],
+            outputs=chosen[1],
             input_delay=tuple(self.input_delay[j] for j in columns),
+            units={name: unit for name, unit in self.units.items() if name in (*chosen[0], *chosen[1])},
         )
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -227,7 +240,7 @@ class LinearModel(Value):
     def step(
         self, outputs: Sequence[str] | None = None, inputs: Sequence[str] | None = None, duration: float = 0.0
     ) -> Figure:
-        """Responses to a step of 1 [SI units] of each input.
+        """Responses to a step of 1 of each input, in its unit.
 
         Parameters
         ----------
@@ -284,15 +297,26 @@ class LinearModel(Value):
         return replace(self, a=a, b=b, c=c, d=d, input_delay=())
 
     def to_control(self) -> control.StateSpace:
-        """The model as python-control's StateSpace, its signals by their names, with `delays_as_states`."""
+        """The model as python-control's StateSpace, with `delays_as_states`.
+
+        Its signals have their names, with the unit where one is stated: `a1 [g]`.
+        """
         import control
 
         held, dt = self.delays_as_states(), self.sample_period or 0
-        return control.ss(held.a, held.b, held.c, held.d, dt, inputs=list(self.inputs), outputs=list(self.outputs))
+        inputs, outputs = ([self._label(name) for name in names] for names in (self.inputs, self.outputs))
+        return control.ss(held.a, held.b, held.c, held.d, dt, inputs=inputs, outputs=outputs)
+
+    def _label(self, name: str) -> str:
+        """The name with its unit, if one is stated outside it."""
+        unit = "" if name_and_unit_of(name)[1] else self.units.get(name, "")
+        return f"{name} [{unit}]" if unit else name
 
     @classmethod
     def from_control(cls, system: control.StateSpace) -> LinearModel:
-        """The model that a `system` of python-control, a StateSpace, holds in SI units, its signals by their labels.
+        """The model that a `system` of python-control, a StateSpace, holds, its signals by their labels.
+
+        They are in SI units but for those whose label has another: `a1 [g]`.
 
         Raises
         ------
@@ -304,9 +328,26 @@ class LinearModel(Value):
                 f"python-control's system {system.name}: dt {system.dt}, expected 0 (continuous) or a sample period [s]"
             )
         a, b, c, d = (np.array(matrix, dtype=np.float64) for matrix in (system.A, system.B, system.C, system.D))
-        inputs, outputs = tuple(system.input_labels), tuple(system.output_labels)
-        provenance = {"method": "python-control", "system": system.name}
-        return cls(a, b, c, d, inputs, outputs, float(system.dt), provenance=provenance)
+        inputs, outputs = map(_named, (system.input_labels, system.output_labels))
+        units = {name: unit for name, unit in (inputs | outputs).items() if unit}
+        period, provenance = float(system.dt), {"method": "python-control", "system": system.name}
+        return cls(a, b, c, d, tuple(inputs), tuple(outputs), period, provenance=provenance, units=units)
+
+
+def _named(labels: Sequence[str]) -> dict[str, str]:
+    """Units by name, from the `labels` of signals; as a label is where two would have one name."""
+    found = dict(map(name_and_unit_of, labels))
+    return found if len(found) == len(labels) else dict.fromkeys(labels, "")
+
+
+def name_and_unit_of(label: str) -> tuple[str, str]:
+    """Name and unit of a signal from its `label`, as `a1 [g]`; a number in brackets is part of the name.
+
+    >>> name_and_unit_of("a1 [g]"), name_and_unit_of("a1"), name_and_unit_of("u (1)")
+    (('a1', 'g'), ('a1', ''), ('u (1)', ''))
+    """
+    name, unit = name_and_unit(label)
+    return (name, unit) if name and unit and not unit.isdecimal() else (label, "")
 
 
 Arguments = ParamSpec("Arguments")
@@ -378,6 +419,7 @@ def save_model(model: LinearModel, path: Path | str, covariance: NDArray[np.floa
         "inputs": model.inputs,
         "outputs": model.outputs,
         "input_delay": model.input_delay,
+        **({"units": model.units} if model.units else {}),
     }
     tables = {"a": model.a.tolist(), "b": model.b.tolist(), "c": model.c.tolist(), "d": model.d.tolist()}
     if covariance is not None:
@@ -409,7 +451,9 @@ def load_model(path: Path | str) -> LinearModel:
             found.b,  # type: ignore[arg-type]
             found.c,  # type: ignore[arg-type]
             found.d,  # type: ignore[arg-type]
-            **{key: getattr(found, key) for key in ("inputs", "outputs", "sample_period", "input_delay", "provenance")},
+            **{key: getattr(found, key) for key in ("inputs", "outputs", "sample_period", "input_delay")},
+            provenance=found.provenance,
+            units=found.units,
         )
     except AbraceError as error:
         raise AbraceError(f"model file {path}: {error}") from error
@@ -464,6 +508,9 @@ def save_mat(model: LinearModel, path: Path | str, more: Mapping[str, Any] | Non
         "outputs": np.array(model.outputs, dtype=object),
         "input_delay": np.array(model.input_delay),
     }
+    if model.units:
+        for key, names in (("input_units", model.inputs), ("output_units", model.outputs)):
+            content[key] = np.array([model.units.get(name, "") for name in names], dtype=object)
     with write_atomically(path) as temporary:
         savemat(str(temporary), {**content, **(more or {})})
 
@@ -497,7 +544,13 @@ def load_mat(path: Path | str) -> tuple[LinearModel, dict[str, Any]]:
         )
         delay = np.ravel(found.get("input_delay", ()))
         period = float(np.squeeze(found.get("Ts", 0.0)))
-        return LinearModel(a, b, c, d, inputs, outputs, period, tuple(delay)), found
+        units = {
+            name: str(np.squeeze(unit))
+            for key, names in (("input_units", inputs), ("output_units", outputs))
+            for name, unit in zip(names, np.ravel(found.get(key, [""] * len(names))), strict=True)
+            if np.size(unit) and str(np.squeeze(unit))
+        }
+        return LinearModel(a, b, c, d, inputs, outputs, period, tuple(delay), units=units), found
     except KeyError as error:
         raise AbraceError(f"model file {path}: no variable {error}, expected A, B, C (and D, Ts)") from error
     except (TypeError, ValueError, AbraceError) as error:

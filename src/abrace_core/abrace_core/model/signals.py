@@ -8,6 +8,7 @@ from string import ascii_lowercase
 from typing import TYPE_CHECKING
 
 from abrace_core import AbraceError
+from abrace_core.files.units import unit_as_stated
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,16 +17,12 @@ GROUND = "w"
 """The table's acceleration W [m/s^2]."""
 
 OTHER_UNITS: dict[str, dict[str, float]] = {
-    "a": {
-        "g": 1 / 9.80665,
-        "mg": 1000 / 9.80665,
-        "cm/s^2": 100.0,
-        "mm/s^2": 1000.0,
-        "in/s^2": 39.3701,
-        "ft/s^2": 3.28084,
-    },
-    "x": {"mm": 1000.0, "cm": 100.0, "in": 39.3701, "um": 1e6},
-    "f": {"kgf": 1 / 9.80665, "kN": 1e-3, "lbf": 0.2248089, "tf": 1e-3 / 9.80665},
+    kind: {text: 1 / found.factor for text in texts if (found := unit_as_stated(text)) is not None}
+    for kind, texts in (
+        ("a", ("g", "mg", "cm/s^2", "mm/s^2", "in/s^2", "ft/s^2")),
+        ("x", ("mm", "cm", "in", "um")),
+        ("f", ("kgf", "kN", "lbf", "tf")),
+    )
 }
 """For each kind of channel (first letter): other usual units, as multiples of the expected unit."""
 

@@ -20,6 +20,7 @@ import numpy as np
 from abrace_core import AbraceError
 from abrace_core.model.compiled import compiled
 from abrace_core.model.linear_model import LinearModel, takes_models
+from abrace_core.model.si_units import in_si_units
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -53,13 +54,14 @@ def connect(
     Parameters
     ----------
     model, controller, capacity, correction
-        As in `simulation.simulate_closed_loop`; a `capacity` of None is not checked.
+        As in `simulation.simulate_closed_loop`; a `capacity` of None is not checked. Signals are converted to SI units.
 
     Raises
     ------
     AbraceError
-        If they do not fit each other.
+        If they do not fit each other, or as in `si_units.in_si_units`.
     """
+    model, controller = in_si_units(model, commands=capacity is not None), in_si_units(controller)
     if model.inputs[1:] != controller.outputs or abs(model.sample_period - controller.sample_period) > 1e-12:
         raise AbraceError(
             f"closed loop: the controller gives {', '.join(controller.outputs)} every {controller.sample_period} s, "

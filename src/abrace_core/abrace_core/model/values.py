@@ -65,4 +65,6 @@ def _equal(one: Any, other: Any) -> bool:
 
 
 def _hashable(value: Any) -> Hashable:
+    if isinstance(value, dict):
+        return frozenset(value.items())
     return (value.shape, (value + 0.0).tobytes()) if isinstance(value, np.ndarray) else value  # -0.0 equals 0.0

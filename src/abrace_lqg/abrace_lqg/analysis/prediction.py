@@ -16,6 +16,7 @@ import numpy as np
 from abrace_core import AbraceError
 from abrace_core.model import signals
 from abrace_core.model.linear_model import takes_models
+from abrace_core.model.si_units import in_si_units
 from abrace_lqg.loop import LOWEST_FREQUENCY, closed_loop, eigenvalues, frequency_grid, sampled
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ def predicted_rms(model: LinearModel, controller: LinearModel | None, excitation
     AbraceError
         If the loop has other inputs, is not stable, or is sampled too slowly for the band.
     """
+    model = in_si_units(model)
     loop = model.select(inputs=[signals.GROUND]) if controller is None else closed_loop(model, controller)
     poles = eigenvalues(loop.a)
     if loop.inputs != (signals.GROUND,) or not loop.sample_period or np.abs(poles).max(initial=0.0) >= 1:

@@ -14,6 +14,7 @@ from abrace_core import AbraceError
 from abrace_core.model.controller_file import Controller, save_controller
 from abrace_core.model.linear_model import load_covariance, takes_models
 from abrace_core.model.model_ensemble import draw_models
+from abrace_core.model.si_units import in_si_units
 from abrace_lqg.design import design
 from abrace_lqg.loop import closed_loop
 from abrace_lqg.proof.checks import prove, require
@@ -121,7 +122,7 @@ def proven_design(
     Parameters
     ----------
     models
-        By name: the model to design with, then the check models.
+        By name: the model to design with, then the check models. They are converted to SI units.
     weights, weights_name
         Weights, and their name in the controller file.
     options
@@ -140,6 +141,8 @@ def proven_design(
     AbraceError
         As in `design` and `prove`, or with the objections that are not accepted.
     """
+    given = models
+    models = {name: _in_si_units(name, model) for name, model in given.items()}
     name, model = next(iter(models.items()))
     options = options.of_model(model)
     weights = scaled_weights(model, weights, options.sample_period, options.force_limit, options.excitation)
@@ -147,7 +150,9 @@ def proven_design(
     ensembles = {}
     for known, covariance in (covariances or {}).items() if options.draws else ():
         try:
-            ensembles[known] = draw_models(models[known], covariance, options.draws, options.draw_seed)
+            # the covariance is that of the parameters in the units of the model as given
+            drawn = draw_models(given[known], covariance, options.draws, options.draw_seed)
+            ensembles[known] = [in_si_units(one, commands=True) for one in drawn]
         except AbraceError as error:
             raise AbraceError(f"model {known}: {error}") from error
     proof = prove(designed, models, options.excitation, options.limits, ensembles, progress)
@@ -164,6 +169,13 @@ def proven_design(
         margins=proof.summary(),
     )
     return ProvenDesign(controller, proof, models, ensembles)
+
+
+def _in_si_units(name: str, model: LinearModel) -> LinearModel:
+    try:
+        return in_si_units(model, commands=True)
+    except AbraceError as error:
+        raise AbraceError(f"design with {name}: {error}") from error
 
 
 def design_to_file(

@@ -14,6 +14,7 @@ import numpy as np
 
 from abrace_core import AbraceError
 from abrace_core.model.linear_model import LinearModel, takes_models
+from abrace_core.model.si_units import in_si_units
 from abrace_core.model.stepping import check_finite, connect, extremes
 
 if TYPE_CHECKING:
@@ -106,6 +107,7 @@ def loop_extremes(
     AbraceError
         If model, controller, capacity and records do not fit each other.
     """
+    model = in_si_units(model, commands=capacity is not None)
     count, commands = len(model.outputs), len(model.inputs) - 1
     names = (*model.outputs, *model.inputs[1:])
     chosen = np.arange(len(motions.samples)) if chosen is None else np.asarray(chosen, dtype=np.int64)

@@ -160,7 +160,7 @@ def figures_of_data(found: DataIdentification) -> dict[str, Figure | Chart]:
     shown = found.model.outputs[:SHOWN_OUTPUTS]
     drawn: dict[str, Figure | Chart] = {
         f"transfer_functions_{response.input.replace('/', '_')}": transfer_functions(
-            response, shown, found.model, found.records[0].units
+            response, shown, found.model, found.model.units
         )
         for response in found.responses
     }

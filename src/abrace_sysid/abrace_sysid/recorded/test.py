@@ -20,9 +20,11 @@ from abrace_core import AbraceError
 from abrace_core.files.options import NonNegative, Options
 from abrace_core.files.table import Column, Table, array_table
 from abrace_core.files.table_files import read_table
+from abrace_core.files.units import unit_as_stated
 from abrace_core.model import signals
 from abrace_core.model.discretization import HOLDS
 from abrace_core.model.run import Run
+from abrace_core.model.si_units import si_factor
 from abrace_sysid.recorded.series import find_period, hann_power, transform
 
 if TYPE_CHECKING:
@@ -57,7 +59,7 @@ class Test:
     excitation, outputs
         (samples, inputs) and (samples, outputs). A command is that which acts from each sample on.
     units
-        Units by name, for figures; may lack some. A rig's signals are in SI units.
+        Units by name; a rig's signal that is not among them is in SI units.
     hold
         How inputs move between samples. "rig": a command keeps its value, the table's acceleration is linear; "band":
         inputs and outputs are band-limited below half the sample rate and sampled alike; "zero": every input keeps its
@@ -362,6 +364,22 @@ class Test:
         found.__dict__.update(faults=faults, clipped=clipped, warnings=tuple(warnings))
         return found
 
+    def in_si_units(self) -> Test:
+        """The same test with a rig's signals in SI units; itself where they are.
+
+        Raises
+        ------
+        AbraceError
+            If one of them has a unit that cannot be converted.
+        """
+        wanted = {name: signals.unit(name) for name in self.units if signals.unit(name) != "-"}
+        factors = {name: si_factor(name, self.units[name], f"{self.source}: channel")[0] for name in wanted}
+        if all(factor == 1 for factor in factors.values()):
+            return self
+        into, out_of = (np.array([factors.get(name, 1.0) for name in names]) for names in (self.inputs, self.names))
+        units = {**self.units, **wanted}
+        return replace(self, excitation=self.excitation * into, outputs=self.outputs * out_of, units=units)
+
     def is_same(self, other: Test) -> bool:
         """Whether the `other` is the same test: every sample of every channel is equal, whatever the tests' names."""
         return self is other or all(
@@ -453,7 +471,7 @@ def of_one_rig(given: AnyTest | Sequence[AnyTest], channels: bool = True) -> tup
     Raises
     ------
     AbraceError
-        If there is none, or rigs, sample periods or, with `channels`, inputs or outputs differ.
+        If there is none, or rigs, sample periods, units or, with `channels`, inputs or outputs differ.
     """
     tests = given_tests(given)
     first = tests[0]
@@ -469,4 +487,8 @@ def of_one_rig(given: AnyTest | Sequence[AnyTest], channels: bool = True) -> tup
             if one != two and None not in (one, two):
                 two, one = (", ".join(each) if isinstance(each, tuple) else each for each in (two, one))
                 raise AbraceError(f"{other.source}: {what} {two}, expected {one}, as in {first.source}")
+        for name, unit in first.units.items():
+            theirs = other.units.get(name, unit)
+            if theirs != unit and (unit_as_stated(theirs) is None or unit_as_stated(theirs) != unit_as_stated(unit)):
+                raise AbraceError(f"{other.source}: {name} in {theirs}, expected {unit}, as in {first.source}")
     return tests

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from abrace_core.files.units import unit_as_stated, unit_of
 from abrace_core.model import signals
 from abrace_core.model.verdict import Verdict, judged
 from abrace_sysid.validity.finding import Finding
@@ -176,6 +177,13 @@ def _named(change: Change, source: str) -> tuple[str, str, str]:
     return f"{name} is {size} in {source}{unit}", WRONG[1], "Correct unit or sensitivity in the calibration"
 
 
+def _stated_factor(test: Test, name: str) -> float:
+    """The factor to SI units of the unit that a `test` states for a signal; 1: none that its kind of quantity has."""
+    found = unit_as_stated(test.units.get(name, ""))
+    is_of_kind = found is not None and found.dimension == unit_of(signals.unit(name)).dimension
+    return found.factor if found is not None and is_of_kind else 1.0
+
+
 def other_units(estimate: PoleEstimate, test: Test) -> list[Finding]:
     """A finding for each floor of measured data whose acceleration is not the second derivative of its displacement.
 
@@ -196,8 +204,7 @@ def other_units(estimate: PoleEstimate, test: Test) -> list[Finding]:
         read = estimate.shapes[names.index(a), pairs]
         size = np.abs(displaced) * np.linalg.norm(estimate.drive[pairs], axis=1) / np.abs(estimate.poles[pairs])
         ratio = read[np.argmax(size)] / displaced[np.argmax(size)]
-        stated = {name: signals.OTHER_UNITS[name[0]].get(test.units.get(name, ""), 1.0) for name in (x, a)}
-        ratio = ratio * stated[x] / stated[a]
+        ratio = ratio * _stated_factor(test, a) / _stated_factor(test, x)
         # one sensor in another unit is likelier than two
         alone = (signals.read_as(a, abs(ratio)), ""), ("", signals.read_as(x, 1 / abs(ratio)))
         factors = signals.OTHER_UNITS["x"].items()
