@@ -17,9 +17,8 @@ from abrace_core.model.discretization import discretize
 from abrace_core.model.linear_model import load_model
 from abrace_core.model.simulation import simulate
 from abrace_core.model.verdict import Verdict
-from abrace_sysid.data_identification import DataOptions, identify_data, variance_accounted_for
+from abrace_sysid.data_identification import DataOptions, identify_data, observed, variance_accounted_for
 from abrace_sysid.figures.identification import figures_of_data
-from abrace_sysid.fitting.mode_search import observed
 from abrace_sysid.fitting.output_delays import output_delays
 from abrace_sysid.fitting.pole_estimate import PoleEstimate
 from abrace_sysid.models.modal import modal_model
@@ -209,6 +208,30 @@ def test_several_records_give_one_model_and_another_one_is_predicted():
     apart = replace(records[2], sample_period=0.01)
     with pytest.raises(AbraceError, match=r"sample period 0\.01, expected 0\.02"):
         identify_and_judge(records[0], BELOW, validation=[apart])
+
+
+def test_a_model_keeps_the_units_that_were_given_or_stand_in_names_and_its_figures_show_them(tmp_path):
+    record = small(seed=1, samples=500, noise=0.01)
+    columns = dict(zip((*record.inputs, *record.names), np.hstack([record.excitation, record.outputs]).T, strict=True))
+    first = record.names[0]
+    columns[f"{first} [g]"] = columns.pop(first)
+    options = DataOptions(
+        inputs=record.inputs, outputs=record.names, sample_rate=1 / record.sample_period, band=BELOW.band,
+        units={record.inputs[0]: "kN"},
+    )  # fmt: skip
+    found = identify_data(options.read(columns), options)
+    assert found.model.units == {record.inputs[0]: "kN", first: "g"}
+    (top, *_), *_ = figures_of_data(found)[f"transfer_functions_{record.inputs[0]}"].rows
+    assert "[g / kN]" in top.y_label
+    write_data_results(found, (), tmp_path)
+    assert load_model(tmp_path / "model.json").units == found.model.units
+
+
+def test_records_of_different_units_are_refused():
+    one, other = small(seed=1, samples=500, noise=0.01), small(seed=2, samples=500, noise=0.01)
+    name = one.names[0]
+    with pytest.raises(AbraceError, match=f"{name} in m/s\\^2, expected g, as in"):
+        identify_data([replace(one, units={name: "g"}), replace(other, units={name: "m/s^2"})], BELOW)
 
 
 @pytest.mark.parametrize(

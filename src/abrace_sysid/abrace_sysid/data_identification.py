@@ -2,7 +2,7 @@
 """Identification from measured data of any structure, without knowledge of what the channels mean.
 
 transfer functions  from all inputs at once, by default by the local rational method
-modes               started by subspace identification (`mode_search`), refined by maximum likelihood
+modes               searched in all lines (`mode_search`), refined by maximum likelihood
 delays              of single outputs, estimated with these modes (`output_delays`), and taken off before the last fit
 model               one state-space model for all inputs: these modes, and residual terms for modes above the band
 """
@@ -22,14 +22,10 @@ from abrace_core.model.discretization import discretize
 from abrace_core.model.linear_model import takes_models
 from abrace_core.model.simulation import simulate
 from abrace_sysid.examination import prepared
-from abrace_sysid.fitting.mode_search import (
-    fit_with_residual_terms,
-    observed,
-    residual_poles,
-    search_modes,
-    weighed,
-)
+from abrace_sysid.fitting.mode_search import find_modes
+from abrace_sysid.fitting.observation import Observation
 from abrace_sysid.fitting.output_delays import SETTLED, Delay, output_delays
+from abrace_sysid.fitting.residual_terms import fit_with_residual_terms, residual_poles
 from abrace_sysid.fitting.vector_fitting import HEAVY_DAMPING
 from abrace_sysid.models.modal import modal_model
 from abrace_sysid.recorded.test import DataHold, TableOptions, Test, given_tests, of_one_rig
@@ -42,6 +38,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_core.model.linear_model import LinearModel
+    from abrace_sysid.fitting.mode_search import FoundModes
     from abrace_sysid.fitting.pole_estimate import PoleEstimate, PoleInterval
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
@@ -51,6 +48,15 @@ LEAST_LINES = 10
 
 A slower mode completes fewer than ten periods within the record.
 """
+
+BEYOND = 1.5
+"""By default lines are fitted up to this multiple of what the inputs excite."""
+
+HIGHEST = 0.48
+"""Highest frequency that is fitted by default, times the sample period: beyond it no filter is steep enough."""
+
+SAME_PERIOD = 0.2
+"""Greatest change of an input from period to period, as a share of its rms, with which it is periodic."""
 
 LEAST_SAMPLES = 400
 """Samples that a record must have at least: half of a shorter one has too few lines for more than one or two modes."""
@@ -84,7 +90,7 @@ class DataOptions(TableOptions, TransferFunctionOptions):
 
     inputs: Names = Field(min_length=1, description="names of the input columns")
     outputs: Names = Field(default=(), description="names of the output columns; none: all others")
-    units: Units = Field(default={}, description="NAME=UNIT of columns that do not state it, for figures")
+    units: Units = Field(default={}, description="NAME=UNIT of columns that do not state it, kept with the model")
     hold: DataHold = Field(
         default="band", description="inputs sampled as the outputs, band-limited, or held between samples (zero)"
     )
@@ -110,11 +116,15 @@ class DataIdentification:
     records
         The records used, without the channels that do not respond to the inputs, the others moved in time.
     band
-        [Hz] that was used.
+        [Hz] of the transfer functions: what the inputs excite, or as given.
     responses
         Transfer functions from each input.
     estimate
         Poles and mode shapes fitted by maximum likelihood.
+    is_mode
+        (pairs,) which of its first pairs are modes; the others only serve to predict.
+    not_driven
+        [rad/s] poles of motion that the inputs do not cause (hum, drift, free decay); not in the model.
     model
         The same fit as a continuous state-space model; its input delay is that which all outputs have.
     delays
@@ -126,6 +136,8 @@ class DataIdentification:
     band: tuple[float, float]
     responses: tuple[FrequencyResponse, ...]
     estimate: PoleEstimate
+    is_mode: NDArray[np.bool_]
+    not_driven: NDArray[np.complex128]
     model: LinearModel
     delays: Mapping[str, Delay]
 
@@ -143,18 +155,32 @@ class DataIdentification:
             by_words.setdefault(delay.words(period), []).append(name)
         for words, names in by_words.items():
             texts.append(f"{self.source}: {', '.join(names)} {words} against the inputs: taken into account")
+        for place in np.flatnonzero(~self._listed):
+            size = abs(self.estimate.poles[place]) / (2 * np.pi)
+            texts.append(
+                f"{self.source}: a pair at {size:.4g} Hz predicts, but is too uncertain to be listed as a mode"
+            )
+        for pole in self.not_driven:
+            size = abs(pole) / (2 * np.pi)
+            texts.append(
+                f"{self.source}: motion at {size:.4g} Hz that the inputs do not cause is left out of the model"
+            )
         return tuple(texts)
 
     @property
-    def pairs(self) -> tuple[PoleInterval, ...]:
-        """Modes within the band with their intervals, lowest frequency first.
+    def _listed(self) -> NDArray[np.bool_]:
+        """(pairs,) which pairs are listed as modes."""
+        places = range(len(self.is_mode))
+        sure = [self.estimate.pairs([place])[0].is_sure for place in places]
+        return self.is_mode & np.array(sure, dtype=np.bool_)
 
-        Heavily damped pairs, and those that are not sure (`PoleInterval.is_sure`), stay in the model
-        and are no modes.
+    @property
+    def pairs(self) -> tuple[PoleInterval, ...]:
+        """Modes with their intervals, lowest frequency first.
+
+        Pairs that are not sure (`PoleInterval.is_sure`), or not told from others, stay in the model and are warned of.
         """
-        low, high = (2 * np.pi * edge for edge in self.band)
-        modes = [pair for pair in self.estimate.pairs() if low <= pair.frequency <= high]
-        return tuple(pair for pair in modes if pair.damping < HEAVY_DAMPING and pair.is_sure)
+        return tuple(self.estimate.pairs(np.flatnonzero(self._listed)))
 
     def in_time(self, test: Test) -> Test:
         """Another `test` of these channels, its outputs moved in time as those of the records used."""
@@ -197,37 +223,53 @@ def identify_data(
     tests = tuple(prepared(test, dict.fromkeys(inputs, band)) for test in tests)
     dead = {name for test in tests for name in test.faults}
     alive = [test.select([name for name in test.names if name not in dead]) for test in tests]
+    # lines with little input hold free decays and noise, and tell about these; far above the input they say nothing
+    fitted = band
+    if options.band == NOT_GIVEN:
+        fitted = 0.0, min(BEYOND * band[1], HIGHEST / tests[0].sample_period)
 
     progress("transfer functions", 0.05)
     responses = frequency_responses(alive, inputs, band, options)
 
-    def found_so_far(modes: int) -> None:
-        progress(f"modes: {modes}", 0.1 + 0.7 * modes / (modes + 10))
-
-    def search(records: Sequence[Test]) -> tuple[PoleEstimate, int]:
-        return search_modes(
-            records, band, options.most_modes, lambda fit, one: predicted(modal_model(fit, {}), one), found_so_far
+    def search(records: Sequence[Test]) -> FoundModes:
+        whole = observed(records, fitted)
+        return find_modes(
+            whole,
+            residual_poles(whole[0]),
+            options.most_modes,
+            lambda modes: progress(f"modes: {modes}", 0.1 + 0.6 * modes / (modes + 10)),
         )
 
-    found_so_far(0)
-    estimate, modes = search(alive)
+    found = search(alive)
+    if found.passes_through:
+        # distortion repeats with the periods, on some lines only: one mean period has one kind of lines
+        periods = [_mean_period(one) for one in alive]
+        repeating = [one for one in periods if one is not None]
+        if len(repeating) == len(alive):
+            alive = repeating
+            found = search(alive)
     progress("delays of outputs", 0.8)
-    delays, records = _delays(alive, band, estimate, modes), alive
+    delays, records = _delays(alive, band, found.poles), alive
     if delays:
         records = [one.in_time({name: delay.seconds for name, delay in delays.items()}) for one in alive]
-        estimate, modes = search(records)
+        in_time = search(records)
+        # the lag of a servo looks like a delay, and is a heavily damped pole if that costs less
+        if in_time.cost < found.cost:
+            found = in_time
+        else:
+            delays, records = {}, alive
+    if not len(found.poles):
+        raise AbraceError(
+            f"{_sources(tests)}: no mode from {fitted[0]:.4g} to {fitted[1]:.4g} Hz: nothing that the inputs cause "
+            "there stands out of the noise"
+        )
     common = _common(delays, alive[0])
     apart = {name: delay.seconds - common for name, delay in delays.items()}
     used = tuple(one.in_time(apart) for one in alive)
     if delays:
         responses = frequency_responses(used, inputs, band, options)
     progress("maximum likelihood", 0.9)
-    whole = observed(records, band)
-    try:
-        estimate = fit_with_residual_terms(weighed(whole, estimate), estimate.poles[:modes])
-    except AbraceError:
-        # a pair that the weights make unstable: the modes as they were found, with all lines alike
-        estimate = fit_with_residual_terms(whole, estimate.poles[:modes], 0)
+    estimate = _fitted(observed(records, fitted), found)
     provenance = {
         "data": _sources(tests),
         "seconds": sum(test.seconds for test in tests),
@@ -236,20 +278,57 @@ def identify_data(
         "options": options.model_dump(),
         "hold": tests[0].hold,
         "output_delays": apart,
-        "states": f"{modes} modes by maximum likelihood, and one pair for each input that represents modes above",
+        "states": f"{len(found.poles)} pairs by maximum likelihood, {np.count_nonzero(found.is_mode)} of them modes, "
+        "and one pair for each input that represents modes above",
     }
     model = replace(modal_model(estimate, provenance), input_delay=(common,) * len(inputs))
+    units = {name: unit for test in tests for name, unit in test.units.items()}
+    model = replace(model, units={name: units[name] for name in (*model.inputs, *model.outputs) if name in units})
     progress("identified", 1.0)
-    return DataIdentification(tests, used, band, responses, estimate, model, delays)
+    return DataIdentification(tests, used, band, responses, estimate, found.is_mode, found.not_driven, model, delays)
+
+
+def _mean_period(record: Test) -> Test | None:
+    """The mean of the periods after the first; None: there are not two, or too few samples in one."""
+    period, samples = record.period or 0, len(record.outputs)
+    if period < LEAST_SAMPLES or samples < 2 * period:
+        return None
+    excitation, later = record.excitation[:-period], record.excitation[period:]
+    if np.any(np.std(later - excitation, axis=0) > SAME_PERIOD * np.std(later, axis=0)):
+        return None
+    kept = (samples // period - 1) * period
+
+    def mean(series: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(series[len(series) - kept :].reshape(-1, period, series.shape[1]).mean(axis=0))
+
+    return replace(record, excitation=mean(record.excitation), outputs=mean(record.outputs))
+
+
+def observed(records: Sequence[Test], band: tuple[float, float]) -> list[Observation]:
+    """The lines of each of the `records` in a `band` [Hz], of all their inputs, the ends of the records free."""
+    return [replace(Observation.of_test(one, one.inputs, band), free_ends=True) for one in records]
+
+
+def _fitted(whole: Sequence[Observation], found: FoundModes) -> PoleEstimate:
+    """Shapes, drives and intervals for the poles that were found, all refined together; the poles as found if not."""
+    free = not found.at_rest
+    weighted = [
+        replace(one.with_noise(level), transient=free, free_ends=free)
+        for one, level in zip(whole, found.noise, strict=True)
+    ]
+    try:
+        return fit_with_residual_terms(weighted, found.poles)
+    except AbraceError:
+        return fit_with_residual_terms(weighted, found.poles, 0)
 
 
 ROUNDS = 6
 """Most rounds of delays for these modes and modes for these delays."""
 
 
-def _delays(records: Sequence[Test], band: tuple[float, float], estimate: PoleEstimate, modes: int) -> dict[str, Delay]:
+def _delays(records: Sequence[Test], band: tuple[float, float], poles: NDArray[np.complex128]) -> dict[str, Delay]:
     """The certain delays, by output. The modes fitted without them are refined with them in turn."""
-    poles, whole = _modes_alone(estimate.poles[:modes], band), observed(records, band)
+    poles, whole = _modes_alone(poles, band), observed(records, band)
     if not len(poles):
         return {}
     first = output_delays(whole, np.concatenate([poles, residual_poles(whole[0])[:1]]))
@@ -274,7 +353,7 @@ def _delays(records: Sequence[Test], band: tuple[float, float], estimate: PoleEs
 def _modes_alone(poles: NDArray[np.complex128], band: tuple[float, float]) -> NDArray[np.complex128]:
     """The light pairs in the band; a heavy one may represent a delay."""
     size = np.abs(poles)
-    return poles[(poles.imag > 0) & (-poles.real < HEAVY_DAMPING * size) & (size < 2 * np.pi * band[1])]
+    return poles[(-poles.real < HEAVY_DAMPING * size) & (size < 2 * np.pi * band[1]) & (poles.imag > 0)]
 
 
 def _common(delays: Mapping[str, Delay], record: Test) -> float:

@@ -214,10 +214,14 @@ def _rms_within(test: Test, name: str, band: tuple[float, float]) -> float:
 
 
 def at_extremes(values: NDArray[np.float64]) -> int:
-    """How many of `values` (samples,) equal an extreme value that CLIPPED_COUNT or more samples have."""
+    """How many of `values` (samples,) equal an extreme value that CLIPPED_COUNT or more samples have.
+
+    A value that half of the samples have is rest, as before and after an impulse.
+    """
     if not np.ptp(values):
         return 0
-    counts = (np.count_nonzero(values == extreme) for extreme in (values.max(), values.min()))
+    extremes = (extreme for extreme in (values.max(), values.min()) if extreme != np.median(values))
+    counts = (np.count_nonzero(values == extreme) for extreme in extremes)
     return int(sum(count for count in counts if count >= CLIPPED_COUNT))
 
 

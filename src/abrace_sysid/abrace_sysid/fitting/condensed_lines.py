@@ -17,6 +17,7 @@ from scipy import sparse
 from abrace_core import AbraceError
 from abrace_sysid.fitting.curve_fit import stacked, triangular_factor
 from abrace_sysid.fitting.modes import across
+from abrace_sysid.fitting.observation import ENDS
 from abrace_sysid.fitting.pole_basis import combined, sides_of, whole_samples
 from abrace_sysid.fitting.pole_estimate import columns_of
 
@@ -235,9 +236,10 @@ def _lines_of(
         if len(sides) == 1 and slow[mode]:
             alike[0] += range(before[0], len(basis))
             alike[1] += range(before[1], len(slopes))
-    if observation.transient and at_once[list(shown)].any():
-        basis.append(np.ones(len(z), dtype=np.complex128))
-        columns.append(transient_at)
+    over = observation.transient and bool(at_once[list(shown)].any())
+    free = ENDS if observation.free_ends else ENDS[: int(over)]
+    basis += [z ** -float(sample) for sample in free]
+    columns += range(transient_at, transient_at + len(free))
     for number, i in enumerate(named):
         if modes.direct[i]:
             basis.append(observation.excitation[:, number])

@@ -1,355 +1,373 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The modes of an unknown structure: starting poles by subspace identification, refined by maximum likelihood.
+"""The modes of an unknown structure, from any record: no order, band or kind of excitation has to be known.
 
-PO-MOESP (Verhaegen 1994) gives the poles of every order from one factorisation of the records. Each order's poles are
-refined (`fit_poles`); orders rise until the description length no longer falls. Where the two halves of the record
-predict each other, the order is the one up to there with which they do it best (hold-out validation; Ljung 1999, sec.
-16.4): the description length counts the residual of a nonlinear or drifting peak as modes, the prediction noise that it
-meets by chance. A sweep, an earthquake or a quiet half predicts nothing; then the description length decides.
+candidates  poles of subspace identification in overlapping octaves of the lines (McKelvey, Akcay and Ljung 1996)
+search      the candidate that explains most is added and all poles are refined, while it pays
+choice      of the poles found, the set with the greatest likelihood, the noise estimated anew with each set; a pole
+            must pay for its parameters
+left over   the same with what this leaves
+
+A fixed noise cannot tell a mode from a noise with a peak; the likelihood with each set's own noise can.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy import signal
-from scipy.ndimage import uniform_filter1d
+from scipy import linalg
+from scipy.stats import chi2
 
-from abrace_core import AbraceError
-from abrace_core.model.modes import modal_assurance
-from abrace_sysid.fitting.curve_fit import stacked
-from abrace_sysid.fitting.maximum_likelihood import ITERATIONS, fit_poles
-from abrace_sysid.fitting.observation import Observation
-from abrace_sysid.fitting.pole_basis import combined, sides_of, transients
+from abrace_sysid.fitting.line_fit import LineFit, Lines, parameters_of, poles_of, refined
+from abrace_sysid.fitting.line_noise import LAST_STEPS, noise_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from abrace_sysid.fitting.pole_estimate import PoleEstimate
-    from abrace_sysid.recorded.test import Test
+    from abrace_sysid.fitting.line_noise import LineNoise
+    from abrace_sysid.fitting.observation import Observation
 
-BLOCK_ROWS, MOST_ROWS = 40, 1800
-"""Block rows of the Hankel matrices, and rows of all of them together, at most; more give hardly other poles."""
+LEAST_LINES, NEXT_BAND = 60, 1.4
+"""Lines of the narrowest band of a local subspace; each band is an octave, and begins at this multiple of the last."""
 
-COLUMNS = 5000
-"""Columns of the Hankel matrices that are factorised at a time, for long records."""
+ORDERS, MOST_BLOCKS = (2, 4, 6, 9, 12), 22
+"""Orders of a local subspace, and most powers of its variable."""
 
-ABOVE, ABOVE_DAMPING = 1.4, 0.01
-"""Frequency, divided by the band's upper edge, and damping ratio of the pairs that represent the modes above it."""
+SPREAD = 0.6
+"""Parameter of the bilinear map from a band to part of the unit circle."""
 
-IN_VAIN = 4
-"""Orders in a row that cannot be fitted, or have no shorter description, end the search after so many."""
+HEAVIEST, GROWING, LIGHT = 0.3, 0.03, 2e-4
+"""Greatest damping ratio of a candidate; one that grows by less than the second is taken with the third."""
 
-LINES_OF_A_MODE = 20
-"""Lines that there must be for each mode."""
+ALIKE = 0.35
+"""Candidates closer than this share of their half-widths are one."""
 
-NARROWEST, SAME_SHAPE = 0.05, 0.8
-"""Least decay rate of a mode, in lines; and the modal assurance from which overlapping modes are one."""
+CHANCE, FREE_CHANCE = 1e-8, 1e-6
+"""Probability that noise explains as much as a pole must, and as much as its forced or its free part must."""
 
-LEFT_ORDER = 8
-"""Order of the subspace of what the best order leaves."""
+AT_ONCE = 4
+"""Poles that are added before the noise is estimated anew."""
 
-HEAVIEST = 0.9
-"""Greatest damping ratio: beyond it a pair can hardly be distinguished from two real poles."""
+IN_VAIN = 6
+"""Sets in a row that do not pay end the choice."""
 
-HEAVY = 0.3
-"""Poles damped more than this are left out where the fit with them fails."""
+CARE, CAREFUL = 20.0, (0.05, 0.3)
+"""A driven pole that is no mode is damped as is usual for the second, if that costs less than the first: a mode just
+beyond the reach of the input has a damping that nobody knows, and too small a one costs the prediction most."""
 
-TRIAL_ITERATIONS = 30
-"""Most steps of the fit of an order: a true mode takes about ten."""
+SURE_DAMPING, SURE_FREQUENCY = 0.35, 0.004
+"""Greatest standard deviation of a mode's damping and frequency, as shares."""
 
-NEIGHBOURS = 9
-"""Lines over which the level of the residual is averaged."""
-
-
-def residual_poles(observation: Observation) -> NDArray[np.complex128]:
-    """The fixed poles [rad/s] that represent modes above the band of an `observation`, one for each input."""
-    sampling = observation.samplings[0]
-    highest = float(np.angle(observation.z[-1])) / sampling.sample_period
-    # a held input says nothing of poles beyond half the sample rate
-    above_it = sampling.hold == "band" or ABOVE * highest * sampling.sample_period < np.pi
-    return np.full(len(observation.inputs) if above_it else 0, ABOVE * highest * complex(-ABOVE_DAMPING, 1))
+LEAST_DECAY = 0.03
+"""A mode decays by at least this much (as exponent) within the record; a steady hum does not."""
 
 
-def fit_with_residual_terms(
-    observations: Sequence[Observation],
-    poles: NDArray[np.complex128],
-    iterations: int = ITERATIONS,
-    spread: Literal["none", "modes"] = "modes",
-) -> PoleEstimate:
-    """As `fit_poles`, with residual terms of the modes above the band: one pair with a fixed pole for each input.
+@dataclass(frozen=True)
+class FoundModes:
+    """The poles that were found in records.
 
     Parameters
     ----------
-    observations
-        The records.
     poles
-        Starting poles [rad/s].
-    iterations
-        Greatest number of steps.
-    spread
-        As for `fit_poles`.
+        (poles,) [rad/s], upper ones of pairs that the inputs drive, lowest first: they predict.
+    is_mode
+        (poles,) which of them are modes: told from their neighbours and from no damping, and decaying in the record.
+    not_driven
+        [rad/s] poles of motion that the inputs do not cause: hum, drift, free decay. They are left out.
+    noise
+        For each record (lines,) the noise's standard deviation, over outputs their geometric mean, median 1.
+    at_rest
+        Whether the records are explained by forced motion alone.
+    passes_through
+        Whether noise of the inputs, nonlinearity or unmeasured forces pass through the modes (`LineNoise`).
+    cost
+        -2 log likelihood and what the poles must pay, a line: of the same records the least is best.
     """
-    above, inputs = residual_poles(observations[0]), len(observations[0].inputs)
-    fixed = np.arange(len(poles) + len(above)) >= len(poles)
-    driven = np.ones((len(poles) + len(above), inputs), dtype=np.bool_)
-    driven[len(poles) :] = np.eye(len(above), inputs, dtype=np.bool_)
-    return fit_poles(observations, np.concatenate([poles, above]), driven, fixed, iterations, spread)
+
+    poles: NDArray[np.complex128]
+    is_mode: NDArray[np.bool_]
+    not_driven: NDArray[np.complex128]
+    noise: tuple[NDArray[np.float64], ...]
+    at_rest: bool
+    passes_through: bool
+    cost: float
 
 
-class _Trial(NamedTuple):
-    """The fit of an order, with its number of modes and what it costs to predict each half from the other."""
-
-    estimate: PoleEstimate
-    modes: int
-    crossed: float
-
-
-def search_modes(
-    records: Sequence[Test],
-    band: tuple[float, float],
+def find_modes(
+    observations: Sequence[Observation],
+    above: NDArray[np.complex128],
     most: int,
-    predict: Callable[[PoleEstimate, Test], NDArray[np.float64]],
     progress: Callable[[int], None] = lambda _modes: None,
-) -> tuple[PoleEstimate, int]:
-    """The fit of the best order, and how many of its first poles are modes; those after them are residual terms.
+) -> FoundModes:
+    """The modes of records of one structure.
 
     Parameters
     ----------
-    records, band
-        Records of one structure, and the band [Hz] in which modes are searched.
-    most
-        Greatest number of modes.
-    predict
-        The outputs (samples, outputs) of a record as a fit predicts them.
-    progress
-        Called with the number of modes of each order that could be fitted.
-
-    Raises
-    ------
-    AbraceError
-        If no order can be fitted.
-    """
-    whole = observed(records, band)
-    middles = [len(one.outputs) // 2 for one in records]
-    first = observed([one.part(0, middle) for one, middle in zip(records, middles, strict=True)], band)
-    second = observed([one.part(middle, len(one.outputs)) for one, middle in zip(records, middles, strict=True)], band)
-    most = min(most, max(1, sum(len(one.z) for one in whole) // LINES_OF_A_MODE))
-    subspace, trials, reason, vain = _Subspace(records, band), list[_Trial](), "no pole in the band", 0
-    for order in range(2, min(subspace.highest, 4 * most) + 1, 2):
-        vain += 1
-        poles = subspace.poles(order)
-        light = poles[-poles.real < HEAVY * np.abs(poles)]
-        for start in (poles,) if len(light) == len(poles) else (poles, light):
-            if not (trials[-1].modes if trials else 0) < len(start) <= most:
-                continue
-            try:
-                trial = _tried(whole, (first, second), start)
-            except AbraceError as error:
-                reason = str(error)
-                continue
-            vain = 0 if not trials or trial.estimate.mdl < min(one.estimate.mdl for one in trials) else vain
-            trials.append(trial)
-            progress(trial.modes)
-            break
-        if trials and vain == IN_VAIN:
-            break
-    if not trials:
-        source = ", ".join(one.source for one in records)
-        raise AbraceError(f"{source}: no mode from {band[0]:.4g} to {band[1]:.4g} Hz could be fitted: {reason}")
-    best = min(trials, key=lambda one: one.estimate.mdl)
-    if best.crossed < 0:
-        best = min((one for one in trials if one.modes <= best.modes), key=lambda one: one.crossed)
-    # weak modes beside strong ones show in what is left, where the strong ones' lines count less
-    try:
-        settled = fit_with_residual_terms(
-            weighed(whole, best.estimate), best.estimate.poles[: best.modes], ITERATIONS, "none"
-        )
-    except AbraceError:
-        settled = best.estimate
-    left = [replace(one, outputs=one.outputs - predict(settled, one)) for one in records]
-    for pole in _Subspace(left, band).poles(LEFT_ORDER):
-        try:
-            trial = _tried(whole, (first, second), np.append(best.estimate.poles[: best.modes], pole))
-        except AbraceError:
-            continue
-        if trial.estimate.mdl < best.estimate.mdl and (trial.crossed < best.crossed or not best.crossed < 0):
-            best = trial
-            progress(best.modes)
-    return best.estimate, best.modes
-
-
-def observed(records: Sequence[Test], band: tuple[float, float]) -> list[Observation]:
-    """The lines of each of the `records` in a `band` [Hz], of all their inputs."""
-    return [Observation.of_test(one, one.inputs, band) for one in records]
-
-
-def _tried(
-    whole: Sequence[Observation],
-    halves: tuple[Sequence[Observation], Sequence[Observation]],
-    start: NDArray[np.complex128],
-) -> _Trial:
-    """The fit from these starting poles; an error where a pair is no mode, or one mode is fitted twice."""
-    estimate = fit_with_residual_terms(whole, start, TRIAL_ITERATIONS, "none")
-    pairs = np.flatnonzero(estimate.poles[: len(start)].imag > 0)
-    poles, shapes, line = (
-        estimate.poles[pairs],
-        estimate.shapes[:, pairs].T,
-        2 * np.pi / max(one.seconds for one in whole),
-    )
-    if (-poles.real < NARROWEST * line).any():
-        raise AbraceError("a pair has no damping that the record could show")
-    apart = np.abs(poles[:, None] - poles)
-    same = (apart < -(poles.real[:, None] + poles.real)) & (modal_assurance(shapes, shapes) > SAME_SHAPE)
-    if np.triu((apart < line) | same, 1).any():
-        raise AbraceError("one mode is fitted twice")
-    return _Trial(estimate, len(start), _crossed(estimate, len(start), halves))
-
-
-def _crossed(estimate: PoleEstimate, modes: int, halves: tuple[Sequence[Observation], Sequence[Observation]]) -> float:
-    """The cost of predicting each half with the shapes fitted to the other; below 0: better than by zero, both."""
-    costs = []
-    for half, other in (halves, halves[::-1]):
-        try:
-            fitted = fit_with_residual_terms(half, estimate.poles[:modes], 0, "none")
-        except AbraceError:
-            return np.inf
-        cost = 0.0
-        for one in other:
-            unmoved = float(2 * len(one.z) * np.sum(np.log(np.mean(stacked(one.measured) ** 2, axis=0))))
-            cost += prediction(fitted, one)[0] - unmoved
-        costs.append(cost)
-    return sum(costs) if max(costs) < 0 else np.inf
-
-
-class _Subspace:
-    """The observability matrix of every order, from the part of all records in a band, by PO-MOESP.
-
-    `highest` is the greatest order.
-    """
-
-    def __init__(self, records: Sequence[Test], band: tuple[float, float]) -> None:
-        first, series = records[0], []
-        for one in records:
-            samples = min(len(one.outputs), 2 * int(band[1] * one.seconds))
-            # what is above the band falls away with the sample rate, what is below with its lines
-            still = signal.detrend(np.hstack([one.excitation, one.outputs]), axis=0)
-            series.append(signal.resample(still, samples, axis=0))
-        size = np.sqrt(sum(len(each) * each.var(axis=0) for each in series) / sum(map(len, series)))
-        samples, count, channels = min(len(one) for one in series), len(first.inputs), len(first.names)
-        whole = sum(len(one) for one in series)
-        rows = min(
-            BLOCK_ROWS, MOST_ROWS // (2 * (count + channels)), whole // (2 * (count + channels + 1)), samples // 4
-        )
-        if rows < 2:
-            raise AbraceError(f"{first.source}: {whole} samples in the band for {channels} channels, expected more")
-        self.channels, self.band = channels, band
-        self.sample_period = max(one.seconds / len(kept) for one, kept in zip(records, series, strict=True))
-        factor = np.zeros((0, 2 * rows * (count + channels)))
-        for each in series:
-            scaled = each / np.maximum(size, np.finfo(float).tiny)
-            windows = np.lib.stride_tricks.sliding_window_view(scaled, 2 * rows, axis=0)
-            for start in range(0, len(windows), COLUMNS):
-                part = windows[start : start + COLUMNS]
-                u, y = part[:, :count].swapaxes(1, 2), part[:, count:].swapaxes(1, 2)
-                blocks = [
-                    block.reshape(len(part), -1) for block in (u[:, rows:], u[:, :rows], y[:, :rows], y[:, rows:])
-                ]
-                factor = np.asarray(np.linalg.qr(np.vstack([factor, np.hstack(blocks)]), mode="r"))
-        inputs, end = rows * count, rows * (2 * count + channels)
-        self._left, self._values, _ = np.linalg.svd(factor.T[end:, inputs:end], full_matrices=False)
-        self.highest = min((rows - 1) * channels, int(np.linalg.matrix_rank(np.diag(self._values))))
-
-    def poles(self, order: int) -> NDArray[np.complex128]:
-        """The poles in the band [rad/s]: of each pair the one above the real axis, and real ones; all stable."""
-        observability = self._left[:, :order] * np.sqrt(self._values[:order])
-        above, below = observability[: -self.channels], observability[self.channels :]
-        discrete = np.linalg.eigvals(np.linalg.lstsq(above, below, rcond=None)[0]).astype(np.complex128)
-        discrete = discrete[(discrete.imag > 0) | ((discrete.imag == 0) & (discrete.real > 0))]
-        found = np.log(discrete) / self.sample_period
-        found = -np.abs(found.real) + 1j * found.imag
-        size, low, high = np.abs(found), *(2 * np.pi * edge for edge in self.band)
-        found = found[(size > low) & (size < high) & ((found.imag == 0) | (-found.real < HEAVIEST * size))]
-        return found[np.argsort(np.abs(found))]
-
-
-def prediction(estimate: PoleEstimate, observation: Observation) -> tuple[float, NDArray[np.complex128]]:
-    """The error of the prediction of a test; only its transient is fitted.
-
-    Parameters
-    ----------
-    estimate
-        Modes from another test, or from another part of this one.
-    observation
-        The test to predict.
-
-    Returns
-    -------
-    cost, residual
-        -2 log likelihood, less a constant; (lines, channels) in units of each channel's noise.
-    """
-    z = observation.z
-    named = [estimate.inputs.index(name) for name in observation.inputs]
-    simulated = observation.excitation @ estimate.direct[:, named].T
-    delays = np.nan_to_num(estimate.delays)[named]
-    for mode, pole in enumerate(estimate.poles):
-        sides = sides_of(pole)
-        states = [
-            np.column_stack(
-                [
-                    excitation * sampling.response(side, z, delay)[0]
-                    for sampling, excitation, delay in zip(
-                        observation.samplings, observation.excitation.T, delays, strict=True
-                    )
-                ]
-            )
-            for side in sides
-        ]
-        parts = (estimate.shapes[:, mode].real, estimate.shapes[:, mode].imag)
-        for state, part in zip(combined(states, estimate.drive[mode, named]), parts, strict=False):
-            simulated = simulated + np.outer(state, part)
-    weight = 1 / observation.noise_level[:, None]
-    left = stacked((observation.measured - simulated) * weight)
-    if observation.transient:
-        leaks = transients(list(dict.fromkeys(estimate.poles)), z, observation.samplings[0])
-        q, _ = np.linalg.qr(stacked(np.column_stack(leaks) * weight))
-        left = left - q @ (q.T @ left)
-    power = np.maximum(np.mean(left**2, axis=0), np.finfo(float).tiny)
-    scaled = left / np.sqrt(power)
-    return float(len(left) * np.sum(np.log(power))), scaled[: len(z)] + 1j * scaled[len(z) :]
-
-
-def weighed(
-    observations: Sequence[Observation], estimate: PoleEstimate, neighbours: int = NEIGHBOURS
-) -> list[Observation]:
-    """Tests whose lines are weighted by the residual of a fit around them, in all channels and tests.
-
-    The residual is larger at a resonance: noise of the measured inputs passes through the structure, and peaks are
-    never exactly linear.
-
-    Parameters
-    ----------
-    estimate
     observations
-        Tests of one kind.
-    neighbours
-        Number of lines over which the level of the residual is averaged.
+        Of the records, with their free decays.
+    above
+        Poles [rad/s] that represent modes above the lines.
+    most
+        Greatest number of poles.
+    progress
+        Called with the number of poles found so far.
     """
-    powers = []
-    for one in observations:
-        _, residual = prediction(estimate, one)
-        powers.append(np.mean(np.abs(residual) ** 2, axis=1))
-    power, angle = np.concatenate(powers), np.concatenate([np.angle(one.z) for one in observations])
-    order = np.argsort(angle, kind="stable")
-    more = np.empty(len(power))
-    # without the line itself, whose own error must not reduce its weight
-    level = neighbours * uniform_filter1d(power[order], neighbours) - power[order]
-    more[order] = np.sqrt(level / (neighbours - 1))
-    ends = np.cumsum([len(one.z) for one in observations])[:-1]
-    parts = np.split(more, ends)
-    levels = [one.noise_level * part for one, part in zip(observations, parts, strict=True)]
-    return [one.with_noise(level / np.median(level)) for one, level in zip(observations, levels, strict=True)]
+    lines = Lines(observations, above)
+    fit = _searched(lines, most, progress)
+    fit = _chosen(lines, fit.poles)
+    for _ in range(2):
+        more = _added(lines, fit, _candidates(lines, fit.errors())[0], most)
+        if len(more.poles) == len(fit.poles):
+            break
+        fit = _chosen(lines, more.poles)
+        progress(len(fit.poles))
+    noise = noise_of(fit, LAST_STEPS)
+    lines.deviation = np.sqrt(noise.variance)
+    fit = refined(lines, fit.poles, 30, 1e-4)
+    if not all(_is_driven(fit)) and len(fit.poles):
+        # one hit at the first sample: what is forced and what is free cannot be told apart
+        still = Lines(observations, above, at_rest=True)
+        still.deviation = lines.deviation
+        alone = refined(still, fit.poles, 5)
+        free = 2 * lines.outputs * len(observations) * len(fit.poles)
+        if alone.misfit < fit.misfit + chi2.isf(FREE_CHANCE, free):
+            fit = alone
+    return _reported(fit, noise)
+
+
+def _reported(fit: LineFit, found: LineNoise) -> FoundModes:
+    """The driven poles of a fit, and which are modes; poles that are none are damped with care."""
+    lines, careful = fit.lines, fit.usual.copy()
+    seconds = max(one.seconds for one in lines.observations)
+    spread = np.sqrt(np.maximum(np.diag(fit.covariance()), 0)).reshape(-1, 2)
+    driven = _is_driven(fit)
+    size, damping = np.abs(fit.poles), -fit.poles.real / np.abs(fit.poles)
+    decay = damping * size * seconds
+    is_mode = (spread[:, 1] < SURE_DAMPING) & (spread[:, 0] < SURE_FREQUENCY) & (damping < HEAVIEST)
+    is_mode &= (decay > LEAST_DECAY) & (size < lines.omega.max()) & (size > lines.omega.min())
+    for i in np.flatnonzero(driven & ~is_mode):
+        usual, start = careful.copy(), parameters_of(fit.poles)
+        usual[i], start[i, 1] = CAREFUL, max(start[i, 1], np.log(CAREFUL[0]))
+        new = refined(lines, poles_of(start), 30, 1e-3, usual)
+        if new.misfit < fit.misfit + CARE:
+            fit, careful = new, usual
+    cost = (found.cost + _threshold(lines, found) * len(fit.poles)) / len(lines.omega)
+    kept = np.flatnonzero(driven)
+    kept = kept[np.argsort(np.abs(fit.poles[kept]))]
+    level = np.exp(np.mean(np.log(fit.deviation / np.median(fit.deviation, axis=0)), axis=1))
+    noise = tuple(level[rows] for rows in lines.rows)
+    return FoundModes(
+        fit.poles[kept], is_mode[kept], fit.poles[~driven], noise, lines.at_rest, found.passes_through, cost
+    )
+
+
+def _is_driven(fit: LineFit) -> NDArray[np.bool_]:
+    """(poles,) whether the forced part of each pole pays."""
+    least = chi2.isf(FREE_CHANCE, 2 * fit.lines.inputs * fit.lines.outputs)
+    return np.array([fit.forced_gain(i) > least for i in range(len(fit.poles))], dtype=np.bool_)
+
+
+def _threshold(lines: Lines, noise: LineNoise | None) -> float:
+    """What a pole must explain; errors that pass through the model are one error of all outputs, and count for each."""
+    if noise is not None and noise.passes_through:
+        return float(lines.outputs * chi2.isf(CHANCE, 2 + lines.per_pole))
+    return float(chi2.isf(CHANCE, 2 + lines.outputs * lines.per_pole))
+
+
+def _searched(lines: Lines, most: int, progress: Callable[[int], None]) -> LineFit:
+    """The poles that a search finds from nothing, more than there are modes."""
+    candidates, variance = _candidates(lines, lines.measured)
+    known = np.isfinite(variance)
+    variance = np.where(known, variance, np.median(variance[known]) if known.any() else 1.0)
+    lines.deviation = np.sqrt(variance + 1e-16 * np.mean(np.abs(lines.measured) ** 2, axis=0))
+    fit = LineFit.at(lines, np.zeros(0, dtype=np.complex128))
+    noise = noise_of(fit)
+    while len(fit.poles) < most:
+        before, count = noise, len(fit.poles)
+        fit = _added(lines, fit, candidates, min(most, count + AT_ONCE))
+        progress(len(fit.poles))
+        if len(fit.poles) < count + AT_ONCE:
+            break
+        noise = noise_of(fit)
+        lines.deviation = np.sqrt(noise.variance)
+        fit = refined(lines, fit.poles, 4, 0.5)
+        # with the noise's own estimate all four together may not pay for one: what is left is noise
+        if before.cost - noise.cost < _threshold(lines, noise):
+            break
+    return fit
+
+
+def _added(lines: Lines, fit: LineFit, candidates: NDArray[np.complex128], most: int) -> LineFit:
+    """The fit with the candidates that pay, the best one first."""
+    least = _threshold(lines, None)
+    while len(fit.poles) < most and len(candidates):
+        gains, before = fit.gains(candidates), len(fit.poles)
+        for i in np.argsort(-gains)[:3]:
+            if gains[i] < 0.5 * least:
+                break
+            new = refined(lines, np.append(fit.poles, candidates[i]), 5, 0.1)
+            if fit.misfit - new.misfit > least:
+                fit = new
+                candidates = candidates[gains > 0.02 * least] if len(candidates) > 40 else candidates
+                break
+        if len(fit.poles) == before:
+            break
+    return fit
+
+
+class _Set(NamedTuple):
+    """A set of poles with its noise."""
+
+    poles: NDArray[np.complex128]
+    noise: LineNoise
+
+
+def _settled(
+    lines: Lines, poles: NDArray[np.complex128], turns: int, steps: int, settled: float
+) -> tuple[LineFit, LineNoise]:
+    """Poles refined and their noise estimated in turn."""
+    fit = refined(lines, poles, steps, settled)
+    noise = noise_of(fit)
+    for _ in range(turns - 1):
+        lines.deviation = np.sqrt(noise.variance)
+        fit = refined(lines, fit.poles, steps, settled)
+        noise = noise_of(fit)
+    return fit, noise
+
+
+def _chosen(lines: Lines, poles: NDArray[np.complex128]) -> LineFit:
+    """Of these poles the set that pays by the likelihood in which each set has its own noise."""
+    empty = LineFit.at(lines, np.zeros(0, dtype=np.complex128))
+    path, left = [_Set(empty.poles, noise_of(empty))], list(poles)
+    while left:
+        lines.deviation = np.sqrt(path[-1].noise.variance)
+        now = LineFit.at(lines, path[-1].poles)
+        next_pole = left.pop(int(np.argmax(now.gains(np.array(left)))))
+        fit, noise = _settled(lines, np.append(now.poles, next_pole), 2, 4, 0.5)
+        path.append(_Set(fit.poles, noise))
+        costs = [one.noise.cost + _threshold(lines, one.noise) * len(one.poles) for one in path]
+        if len(path) - int(np.argmin(costs)) > IN_VAIN:
+            break
+    costs = [one.noise.cost + _threshold(lines, one.noise) * len(one.poles) for one in path]
+    best = path[int(np.argmin(costs))]
+    lines.deviation = np.sqrt(best.noise.variance)
+    fit, noise = _settled(lines, best.poles, 2, 15, 0.1)
+    while len(fit.poles):
+        least = _threshold(lines, noise)
+        lines.deviation = np.sqrt(noise.variance)
+        fit = LineFit.at(lines, fit.poles)
+        without = [np.delete(fit.poles, i) for i in range(len(fit.poles))]
+        losses = np.array([LineFit.at(lines, each).misfit for each in without]) - fit.misfit
+        for i in np.argsort(losses)[:3]:
+            if losses[i] > 30 * least:
+                continue
+            new = refined(lines, without[i], 6, 0.1)
+            its_noise = noise_of(new)
+            if its_noise.cost - noise.cost < least:
+                lines.deviation = np.sqrt(its_noise.variance)
+                fit, noise = _settled(lines, new.poles, 1, 5, 0.1)
+                break
+        else:
+            break
+    lines.deviation = np.sqrt(noise.variance)
+    return refined(lines, fit.poles, 5, 0.1)
+
+
+def _candidates(lines: Lines, responses: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """Poles of local subspaces of all records, and (lines, outputs) the variance beside them (infinite: unknown)."""
+    found: list[NDArray[np.complex128]] = []
+    variance, apart = np.full(responses.shape, np.inf), np.inf
+    for rows in lines.rows:
+        omega, u, y = lines.omega[rows], lines.excitation[rows], responses[rows]
+        apart = min(apart, omega[0] if len(omega) < 2 else float(np.median(np.diff(omega))))
+        for own in _bands(len(omega)):
+            try:
+                poles = _local_poles(omega[own], u[own], y[own])
+                if not poles:
+                    continue
+                beside = _variance_beside(omega[own], u[own], y[own], poles[-1])
+            except np.linalg.LinAlgError:
+                continue
+            low, high = 0.7 * omega[own][0], 1.4 * omega[own][-1]
+            found += [each[(each.imag > low) & (each.imag < high)] for each in poles]
+            place = slice(rows.start + own.start, rows.start + own.stop)
+            variance[place] = np.minimum(variance[place], beside)
+    if not found:
+        return np.zeros(0, dtype=np.complex128), variance
+    pooled = np.concatenate(found)
+    size, damping = np.abs(pooled), -pooled.real / np.abs(pooled)
+    usable = (damping > -GROWING) & (damping < HEAVIEST)
+    size, damping = size[usable], np.maximum(damping[usable], LIGHT)
+    pooled = (size * (-damping + 1j * np.sqrt(1 - damping**2)))[np.argsort(size)]
+    kept: list[complex] = []
+    for pole in pooled:
+        near = (abs(pole - one) < -ALIKE * max(pole.real, one.real) + 0.1 * apart for one in kept[-12:])
+        if not any(near):
+            kept.append(complex(pole))
+    return np.array(kept, dtype=np.complex128), variance
+
+
+def _bands(count: int) -> list[slice]:
+    """Overlapping parts of so many lines, each an octave wide or LEAST_LINES lines."""
+    found: list[slice] = []
+    start = 0
+    while start < count - LEAST_LINES // 2 or not found:
+        found.append(slice(start, min(count, max(start + LEAST_LINES, 2 * start))))
+        start = max(start + LEAST_LINES // 2, int(NEXT_BAND * start))
+    return found
+
+
+def _local_poles(
+    omega: NDArray[np.float64], u: NDArray[np.complex128], y: NDArray[np.complex128]
+) -> list[NDArray[np.complex128]]:
+    """Poles [rad/s] of rising orders of a band: complex subspace of powers of a map of the band to the unit circle."""
+    middle, half = (omega[-1] + omega[0]) / 2, (omega[-1] - omega[0]) / 2
+    place, count, channels = (omega - middle) / half, len(omega), y.shape[1]
+    z = (SPREAD + 1j * place) / (SPREAD - 1j * place)
+    tiny = np.finfo(float).tiny
+    outputs = y / np.sqrt(np.mean(np.abs(y) ** 2, axis=0) + tiny)
+    # what the inputs and a smooth leakage explain is projected out
+    inputs = np.column_stack([u / np.sqrt(np.mean(np.abs(u) ** 2, axis=0) + tiny), np.ones(count), place])
+    blocks = int(np.clip(count // (2 * (inputs.shape[1] + channels)), 4, MOST_BLOCKS))
+    powers = z[None, :] ** np.arange(blocks)[:, None]
+    of_inputs = np.concatenate([powers * column for column in inputs.T])
+    of_outputs = (powers[:, None, :] * outputs.T[None]).reshape(blocks * channels, count)
+    triangle = linalg.qr(np.concatenate([of_inputs, of_outputs]).conj().T, mode="r", check_finite=False)[0].conj().T
+    first = len(of_inputs)
+    rest = triangle[first : first + blocks * channels, first : min(count, first + blocks * channels)]
+    if not rest.size:
+        return []
+    noise = linalg.cholesky(powers @ powers.conj().T / count + 1e-8 * np.eye(blocks), lower=True)
+    weights = np.kron(noise, np.eye(channels))
+    left = weights @ linalg.svd(linalg.solve_triangular(weights, rest, lower=True), full_matrices=False)[0]
+    found = []
+    for order in ORDERS:
+        if order > min((blocks - 1) * channels, left.shape[1], count // 6):
+            break
+        shift = np.linalg.lstsq(left[:-channels, :order], left[channels:, :order], rcond=None)[0]
+        values = np.linalg.eigvals(shift)
+        values = values[np.isfinite(values) & (np.abs(values + 1) > 1e-9)]
+        found.append(1j * middle + half * SPREAD * (values - 1) / (values + 1))
+    return found
+
+
+def _variance_beside(
+    omega: NDArray[np.float64], u: NDArray[np.complex128], y: NDArray[np.complex128], poles: NDArray[np.complex128]
+) -> NDArray[np.float64]:
+    """(outputs,) variance of the lines of a band beside these poles, a smooth response and a smooth leakage."""
+    middle, half = (omega[-1] + omega[0]) / 2, (omega[-1] - omega[0]) / 2
+    place = (omega - middle) / half
+    poles = np.where(np.abs(poles.real) < 1e-4 * half, -1e-4 * half + 1j * poles.imag, poles)
+    peaks = half / (1j * omega[:, None] - poles)
+    columns = np.column_stack(
+        [*(peaks * column[:, None] for column in u.T), u, u * place[:, None], peaks, place[:, None] ** np.arange(3)]
+    )
+    columns = columns / (np.linalg.norm(columns, axis=0) + np.finfo(float).tiny)
+    q, r, _ = linalg.qr(columns, mode="economic", pivoting=True, check_finite=False)
+    size = np.abs(np.diag(r))
+    q = q[:, size > 1e-9 * size[0]]
+    left = y - q @ (q.conj().T @ y)
+    return np.asarray(np.sum(np.abs(left) ** 2, axis=0) / max(len(omega) - q.shape[1], 1))

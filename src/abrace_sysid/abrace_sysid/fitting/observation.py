@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from abrace_sysid.recorded.test import Test
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
+ENDS = (0, 1, 2, -1, -2, -3)
+"""Samples at the ends of a record that can be left free."""
+
 
 @dataclass(frozen=True)
 class Observation:
@@ -46,6 +49,9 @@ class Observation:
         Whether the leakage of a finite record is in `measured`.
     poles
         The poles that are excited in this test, as indices into those of all tests; None: all poles.
+    free_ends
+        Whether the first and last samples (`ENDS`) are left free: the transform of a finite record continues a
+        band-limited input periodically, which is wrong there.
     weight
         Weight of the test among others: less than 1 if its channels' noise is correlated, because correlated channels
         contain less information than independent ones.
@@ -61,6 +67,7 @@ class Observation:
     samplings: tuple[Sampling, ...]
     transient: bool
     poles: tuple[int, ...] | None = None
+    free_ends: bool = False
     weight: float = 1.0
 
     def __post_init__(self) -> None:

@@ -13,6 +13,8 @@ import pydantic
 from abrace_core.files.config_file import Number  # noqa: TC001  pydantic reads it
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
 NORMAL_95 = 1.959964
@@ -113,10 +115,17 @@ class PoleEstimate:
         """Twice Rissanen's minimum description length (1978): the least is best."""
         return self.cost + self.unknowns * float(np.log(self.observed))
 
-    def pairs(self) -> list[PoleInterval]:
-        """Frequency and damping ratio of each pair with their uncertainty, slowest first."""
-        found = []
-        for pole, columns in zip(self.poles, columns_of(self.poles), strict=True):
+    def pairs(self, among: Sequence[int] | NDArray[np.int64] | None = None) -> list[PoleInterval]:
+        """Frequency and damping ratio of each pair with their uncertainty, slowest first.
+
+        Parameters
+        ----------
+        among
+            Indices of the poles that are wanted; None: all.
+        """
+        found, places = [], columns_of(self.poles)
+        for i in range(len(self.poles)) if among is None else among:
+            pole, columns = self.poles[i], places[i]
             if pole.imag > 0:
                 modulus = abs(pole)
                 # frequency |p|, damping -re/|p|; gradients with respect to re and im

@@ -19,10 +19,10 @@ from abrace_core.model.modes import match_modes, modal_assurance
 from abrace_sysid.fitting.covariance import LEAST_PIECES
 from abrace_sysid.fitting.likelihood import FASTEST
 from abrace_sysid.fitting.maximum_likelihood import fit_again, fit_poles
-from abrace_sysid.fitting.mode_search import weighed
 from abrace_sysid.fitting.observation import Observation
 from abrace_sysid.fitting.order_selection import Order, no_modes, search_order
 from abrace_sysid.fitting.pole_estimate import TESTS
+from abrace_sysid.fitting.residual_weights import weighed
 from abrace_sysid.fitting.vector_fitting import FitsByOrder, modes_of, vector_fitting
 
 if TYPE_CHECKING:

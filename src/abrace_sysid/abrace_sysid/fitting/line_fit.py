@@ -1,0 +1,368 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poles fitted to all lines of any records, each line of each output with its own noise.
+
+At a line w of a record the model is exact, whatever the excitation (`pole_basis`):
+
+    Y(w) = sum over poles of [ R F_p(w) U(w) + T_p(w) ] + D U(w) + ends + E(w)
+
+with residues R that all records share and one free decay T of each pole in each record. `ends` are the first and last
+samples, where the periodic continuation of a band-limited input errs, and a drift in proportion to time. All but the
+poles is linear and real, and eliminated (variable projection, Golub and Pereyra 1973, Kaufman 1975). The parameters of
+a pole are the logarithms of its frequency and of its damping ratio: it is stable whatever the step.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import linalg
+
+from abrace_sysid.fitting.curve_fit import stacked
+from abrace_sysid.fitting.observation import ENDS
+from abrace_sysid.fitting.pole_basis import combined, forced, sides_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from abrace_sysid.fitting.observation import Observation
+
+USUAL_DAMPING, FACTOR = 0.015, 2.0
+"""Median of damping ratios and standard deviation of their logarithm: it decides only where the records do not."""
+
+LEAST_DAMPING, MOST_DAMPING = 2e-6, 0.6
+"""Limits of a pole's damping ratio."""
+
+RIDGE = 1e-11
+"""Added to the normal equations of columns of unit length; one step of refinement takes its effect away."""
+
+TRIES = 7
+"""Most attempts to find a step that lowers the cost."""
+
+APART = 4
+"""Up to so many outputs each has a noise of its own spectrum; more have one in common, each with its own level."""
+
+KEPT = 8_000_000
+"""Values of columns, and as many derivatives, that are kept for further fits with the same poles."""
+
+ONE = np.ones(1)
+
+
+class Lines:
+    """The lines of all records, in units of each channel's rms, and the columns by which poles act on them.
+
+    Parameters
+    ----------
+    observations
+        Of the records, with the same inputs and outputs.
+    above
+        Poles [rad/s] that represent modes above the lines; their residues are free.
+    at_rest
+        Whether all records begin and end at rest, so that no pole has a free decay.
+
+    Attributes
+    ----------
+    groups
+        Outputs whose noise has one spectrum.
+    deviation
+        (lines, outputs) standard deviation of the noise, of the outputs of a group in proportion.
+    """
+
+    def __init__(
+        self, observations: Sequence[Observation], above: NDArray[np.complex128], at_rest: bool = False
+    ) -> None:
+        self.at_rest = at_rest
+        self.omega = np.concatenate([one.omega for one in observations])
+        sizes = [
+            np.sqrt(np.mean(np.abs(np.vstack([getattr(one, name) for one in observations])) ** 2, axis=0))
+            for name in ("excitation", "measured")
+        ]
+        observations = [
+            replace(one, excitation=one.excitation / sizes[0], measured=one.measured / sizes[1]) for one in observations
+        ]
+        self.excitation = np.vstack([one.excitation for one in observations])
+        self.measured = np.vstack([one.measured for one in observations])
+        self.observations = tuple(observations)
+        self.inputs, self.outputs = self.excitation.shape[1], self.measured.shape[1]
+        ends = np.cumsum([0, *(len(one.omega) for one in observations)])
+        self.rows = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+        own = []
+        for one, rows in zip(observations, self.rows, strict=True):
+            for column in [*(one.z ** -float(sample) for sample in ENDS), one.z / (one.z - 1)]:
+                own.append(np.zeros(len(self.omega), dtype=np.complex128))
+                own[-1][rows] = column
+        tails = [
+            np.column_stack(forced(above[:1], one.z, one.samplings, one.excitation))
+            for one in observations
+            if len(above)
+        ]
+        self.fixed = np.column_stack([self.excitation, *([np.vstack(tails)] if tails else []), *own])
+        alone = [np.array([o]) for o in range(self.outputs)]
+        self.groups = alone if self.outputs <= APART else [np.arange(self.outputs)]
+        self.deviation = np.ones(self.measured.shape)
+        self._columns: dict[complex, tuple[NDArray[np.complex128], NDArray[np.complex128]]] = {}
+
+    @property
+    def per_pole(self) -> int:
+        """Number of columns of a pole: two for each input and for each record."""
+        return 2 * (self.inputs + len(self.rows))
+
+    def columns(self, pole: complex) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """(lines, per_pole) the columns of a pole, forced ones first, and their derivatives by the pole."""
+        kept = self._columns.get(pole)
+        if kept is None:
+            if len(self._columns) * self.per_pole * len(self.omega) > KEPT:
+                self._columns.clear()
+            kept = self._columns[pole] = self._columns_of(pole)
+        return kept
+
+    def _columns_of(self, pole: complex) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        found = np.zeros((2, len(self.omega), self.per_pole), dtype=np.complex128)
+        sides, size = sides_of(pole), -pole.real
+        for number, (one, rows) in enumerate(zip(self.observations, self.rows, strict=True)):
+            for i, sampling in enumerate(one.samplings):
+                parts = [sampling.response(side, one.z) for side in sides]
+                for order in (0, 1):
+                    each = [(part[order] * one.excitation[:, i])[:, None] for part in parts]
+                    found[order, rows, 2 * i : 2 * i + 2] = size * np.column_stack(combined(each, ONE))
+            if not self.at_rest:
+                first, sampling = 2 * (self.inputs + number), one.samplings[0]
+                leaks = [sampling.transient(side, one.z) for side in sides]
+                for order in (0, 1):
+                    each = [leak[order][:, None] for leak in leaks]
+                    scale = size * sampling.sample_period
+                    found[order, rows, first : first + 2] = scale * np.column_stack(combined(each, ONE))
+        return found[0], found[1]
+
+
+def poles_of(parameters: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """The upper poles of `parameters` (poles, 2), logarithms of frequency [rad/s] and damping ratio."""
+    size, damping = np.exp(parameters[:, 0]), np.exp(parameters[:, 1])
+    return np.asarray(size * (-damping + 1j * np.sqrt(1 - damping**2)))
+
+
+def parameters_of(poles: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """(poles, 2) logarithms of frequency and damping ratio of upper poles."""
+    size = np.abs(poles)
+    return np.column_stack([np.log(size), np.log(np.clip(-poles.real / size, LEAST_DAMPING, MOST_DAMPING))])
+
+
+@dataclass(frozen=True)
+class LineFit:
+    """Residues, decays, direct terms and ends of given poles, by weighted least squares.
+
+    Parameters
+    ----------
+    lines, poles
+    usual
+        (poles, 2) expected damping ratio and standard deviation of its logarithm.
+    deviation
+        (lines, outputs) of the noise, with which it was fitted.
+    columns
+        (2 lines, coefficients) real.
+    coefficients
+        (coefficients, outputs).
+    residual
+        (2 lines, outputs) in standard deviations of the noise.
+    factors, norms
+        Of each group of outputs: Cholesky factor of the normal equations, lengths of the columns.
+    """
+
+    lines: Lines
+    poles: NDArray[np.complex128]
+    usual: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+    slopes: tuple[NDArray[np.complex128], ...]
+    columns: NDArray[np.float64]
+    coefficients: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    factors: tuple[NDArray[np.float64], ...]
+    norms: tuple[NDArray[np.float64], ...]
+
+    @classmethod
+    def at(cls, lines: Lines, poles: NDArray[np.complex128], usual: NDArray[np.float64] | None = None) -> LineFit:
+        """The fit with these poles and the lines' present noise; dampings `usual` as in `LineFit`, None: as of any."""
+        usual = np.tile((USUAL_DAMPING, FACTOR), (len(poles), 1)) if usual is None else usual
+        parts = [lines.columns(pole) for pole in poles]
+        columns = stacked(np.column_stack([*(values for values, _ in parts), lines.fixed]))
+        measured = stacked(lines.measured)
+        coefficients, residual = np.empty((columns.shape[1], lines.outputs)), np.empty_like(measured)
+        factors, norms = [], []
+        for group in lines.groups:
+            weight, size = _weight(lines.deviation, group)
+            own = columns * weight
+            norm = np.sqrt(np.einsum("ij,ij->j", own, own))
+            norm[norm == 0] = 1.0
+            own /= norm
+            normal = own.T @ own
+            normal[np.diag_indices_from(normal)] += RIDGE
+            factor = linalg.cholesky(normal, lower=True, check_finite=False)
+            target = measured[:, group] * weight
+            found = linalg.cho_solve((factor, True), own.T @ target, check_finite=False)
+            found += linalg.cho_solve((factor, True), own.T @ (target - own @ found), check_finite=False)
+            residual[:, group] = (target - own @ found) / size
+            coefficients[:, group] = found / norm[:, None]
+            factors.append(factor)
+            norms.append(norm)
+        slopes = tuple(slope for _, slope in parts)
+        return cls(
+            lines, poles, usual, lines.deviation, slopes, columns, coefficients, residual, tuple(factors), tuple(norms)
+        )
+
+    @property
+    def misfit(self) -> float:
+        """Sum of the squared residuals: chi-square."""
+        return float(np.sum(self.residual**2))
+
+    @property
+    def surprise(self) -> NDArray[np.float64]:
+        """(poles,) distance of the damping from the usual one, in standard deviations."""
+        return np.asarray((parameters_of(self.poles)[:, 1] - np.log(self.usual[:, 0])) / self.usual[:, 1])
+
+    @property
+    def cost(self) -> float:
+        """The misfit, and what the dampings' distance from usual ones adds."""
+        return self.misfit + float(self.surprise @ self.surprise)
+
+    def of_pole(self, i: int) -> NDArray[np.float64]:
+        """(columns, outputs) the coefficients of the pole `i`."""
+        per = self.lines.per_pole
+        return self.coefficients[per * i : per * (i + 1)]
+
+    def errors(self) -> NDArray[np.complex128]:
+        """(lines, outputs) what the fit leaves."""
+        half = len(self.lines.omega)
+        scale = self.deviation / np.sqrt(2)
+        return np.asarray((self.residual[:half] + 1j * self.residual[half:]) * scale)
+
+    def responses(self) -> NDArray[np.complex128]:
+        """(lines, outputs, inputs) the forced response to each input."""
+        lines, m = self.lines, self.lines.inputs
+        start = lines.per_pole * len(self.poles)
+        found = np.repeat(self.coefficients[start : start + m].T[None].astype(np.complex128), len(lines.omega), axis=0)
+        for i, pole in enumerate(self.poles):
+            residues = -pole.real * (self.of_pole(i)[0 : 2 * m : 2] + 1j * self.of_pole(i)[1 : 2 * m : 2]).T / 2
+            for one, rows in zip(lines.observations, lines.rows, strict=True):
+                for j, sampling in enumerate(one.samplings):
+                    above, below = (sampling.response(side, one.z)[0] for side in sides_of(pole))
+                    found[rows, :, j] += np.outer(above, residues[:, j]) + np.outer(below, residues[:, j].conj())
+        return found
+
+    def curvature(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Of half the cost: Gauss and Newton's second derivatives (parameters, parameters), and descent (parameters,).
+
+        A residual's derivative by a pole is columns' derivatives times coefficients, less what the residues take up:
+        the products of the columns serve all outputs of a group.
+        """
+        count, per = len(self.poles), self.lines.per_pole
+        turned = np.empty((count, 2, per, self.lines.outputs))
+        for i, pole in enumerate(self.poles):
+            size, damping = abs(pole), -pole.real / abs(pole)
+            by_damping = size * (-damping - 1j * damping**2 / np.sqrt(1 - damping**2))
+            c = self.of_pole(i)
+            for kind, step in enumerate((pole, by_damping)):
+                pairs = (c[0::2] + 1j * c[1::2]) * step
+                turned[i, kind] = np.stack([pairs.real, pairs.imag], axis=1).reshape(c.shape)
+        slopes = stacked(np.column_stack(self.slopes))
+        normal, descent = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
+        for group, factor, norm in zip(self.lines.groups, self.factors, self.norms, strict=True):
+            weight, size = _weight(self.deviation, group)
+            own, basis = slopes * weight, self.columns * weight / norm
+            own -= basis @ linalg.cho_solve((factor, True), basis.T @ own, check_finite=False)
+            products = (own.T @ own).reshape(count, per, count, per)
+            change = turned[..., group] / size
+            normal += np.einsum("aipo,apbq,bkqo->aibk", change, products, change, optimize=True).reshape(normal.shape)
+            onto = (own.T @ self.residual[:, group]).reshape(count, per, len(group))
+            descent += np.einsum("aipo,apo->ai", change, onto).ravel()
+        damped = 2 * np.arange(count) + 1
+        normal[damped, damped] += 1 / self.usual[:, 1] ** 2
+        descent[damped] -= self.surprise / self.usual[:, 1]
+        return normal, descent
+
+    def covariance(self) -> NDArray[np.float64]:
+        """Covariance of the logarithms of frequency and damping ratio of all poles, in turn."""
+        normal, _ = self.curvature()
+        excess = self.cost / max(self.residual.size - self.coefficients.size - len(normal), 1)
+        return np.asarray(np.linalg.pinv(normal) * max(1.0, excess))
+
+    def forced_gain(self, i: int) -> float:
+        """What the forced response of the pole `i` explains (chi-square), all else fitted again."""
+        first = self.lines.per_pole * i
+        own, gain = slice(first, first + 2 * self.lines.inputs), 0.0
+        for group, factor, norm in zip(self.lines.groups, self.factors, self.norms, strict=True):
+            inverse = linalg.cho_solve((factor, True), np.eye(len(norm)), check_finite=False)[own, own]
+            scaled = (self.coefficients[:, group] * norm[:, None])[own] / _weight(self.deviation, group)[1]
+            gain += float(np.sum(scaled * np.linalg.solve(inverse, scaled)))
+        return gain
+
+    def gains(self, candidates: NDArray[np.complex128]) -> NDArray[np.float64]:
+        """(candidates,) what each further pole would explain (chi-square), not refined."""
+        weights = [_weight(self.deviation, group)[0] for group in self.lines.groups]
+        bases = [self.columns * weight / norm for weight, norm in zip(weights, self.norms, strict=True)]
+        found = np.zeros(len(candidates))
+        for i, pole in enumerate(candidates):
+            columns = stacked(self.lines.columns(pole)[0])
+            for group, weight, basis, factor in zip(self.lines.groups, weights, bases, self.factors, strict=True):
+                own = columns * weight
+                own = own / np.maximum(np.linalg.norm(own, axis=0), np.finfo(float).tiny)
+                shared = basis.T @ own
+                apart = own.T @ own - shared.T @ linalg.cho_solve((factor, True), shared, check_finite=False)
+                apart[np.diag_indices_from(apart)] += 1e-9
+                of_own = own.T @ self.residual[:, group]
+                found[i] += float(np.sum(of_own * np.linalg.solve(apart, of_own)))
+        return found
+
+
+def _weight(
+    deviation: NDArray[np.float64], group: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(2 lines, 1) weights of a group's first output, and (group,) deviations of its outputs in units of the first."""
+    first = deviation[:, group[0]]
+    return np.tile(np.sqrt(2) / first[:, None], (2, 1)), deviation[0, group] / first[0]
+
+
+def refined(
+    lines: Lines,
+    poles: NDArray[np.complex128],
+    steps: int = 12,
+    settled: float = 1e-3,
+    usual: NDArray[np.float64] | None = None,
+) -> LineFit:
+    """The fit after Levenberg-Marquardt steps from these poles.
+
+    Parameters
+    ----------
+    lines, poles
+    steps
+        Most steps.
+    settled
+        A step that lowers the cost by less ends them.
+    usual
+        As of `LineFit`.
+    """
+    fit, damping = LineFit.at(lines, poles, usual), 1e-3
+    if not len(poles):
+        return fit
+    low, high = np.log(0.3 * lines.omega.min()), np.log(lines.omega.max())
+    for _ in range(steps):
+        (normal, descent), now = fit.curvature(), parameters_of(fit.poles)
+        curvature = np.diag(normal) + 1e-9
+        limits = np.column_stack([np.maximum(0.02, 3 * np.exp(now[:, 1])), np.full(len(now), 1.5)])
+        gain = 0.0
+        for _ in range(TRIES):
+            step = np.linalg.solve(normal + np.diag(damping * curvature + 1e-12), descent).reshape(-1, 2)
+            later = now + np.clip(step, -limits, limits)
+            later[:, 0] = np.clip(later[:, 0], low, high)
+            later[:, 1] = np.clip(later[:, 1], np.log(LEAST_DAMPING), np.log(MOST_DAMPING))
+            new = LineFit.at(lines, poles_of(later), usual)
+            if new.cost < fit.cost:
+                gain, fit, damping = fit.cost - new.cost, new, max(damping / 8, 1e-9)
+                break
+            damping = 8 * max(damping, 1e-6)
+        if gain < settled * max(1.0, 1e-6 * fit.misfit):
+            break
+    return fit
