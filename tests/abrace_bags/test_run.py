@@ -11,7 +11,8 @@ import pytest
 from mcap_chunks import chunk_indexes
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from abrace_bags import Bag, BagWriter, read_run, read_runs
+from abrace_bags import Bag, BagWriter, describe, read_run, read_runs
+from abrace_bags.stamps import MOST, StampStream
 from abrace_core import AbraceError
 
 if TYPE_CHECKING:
@@ -161,6 +162,64 @@ def test_stamps_decide_against_the_stated_sample_period_with_a_warning(tmp_path:
     assert run.sample_period == 0.004
     (warning,) = run.facts["warnings"]
     assert "sample_period is 0.02 s, but the samples' stamps are 0.004 s apart" in warning
+
+
+STAMPS = np.arange(3000) * STEP + 5 * 10**9
+JUMPING = {
+    "good": (STAMPS, []),
+    "set ahead": (STAMPS + 3 * 10**9 * (np.arange(3000) >= 1400), ["the clock jumps ahead by 3 s after sample 1399"]),
+    "repeated": (
+        np.where(np.arange(3000) == 7, STAMPS[6], STAMPS),
+        ["the stamp of sample 7 is that of the sample before"],
+    ),
+    "late": (STAMPS + 10**8 * (np.arange(3000) == 2000), ["the stamp of sample 2000 is 0.1 s too late"]),
+    "a stamp of 0": (STAMPS * (np.arange(3000) != 100), ["the stamp of sample 100 is 5.4 s too early"]),
+}
+
+
+def stamped(messages: list[Any], stamps: Sequence[int]) -> list[Any]:
+    for message, stamp in zip(messages, stamps, strict=True):
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(stamp), 10**9)
+    return messages
+
+
+@pytest.mark.parametrize("case", JUMPING)
+def test_stamps_that_jump_do_not_decide_the_rate_and_are_named(tmp_path: Path, case: str) -> None:
+    stamps, faults = JUMPING[case]
+    bag = write(tmp_path / "bag", stamped([response(k) for k in range(3000)], stamps), {})
+    run = read_run(bag)
+    assert run.sample_period == 0.004
+    told = [f"{bag}: {fault}; the sample rate by all stamps is 250 Hz" for fault in faults]
+    assert run.facts.get("warnings", []) == told
+    # by the counts at its end, and by its messages
+    assert [describe(bag, check).contents["/response"].rate for check in (False, True)] == pytest.approx([250.0] * 2)
+
+
+def test_a_stated_period_holds_and_only_large_jumps_of_stamps_are_named(tmp_path: Path) -> None:
+    messages, facts = [response(k) for k in range(3000)], {"sample_period": "0.004"}
+    jumping = STAMPS + 25_000_000 * (np.arange(3000) >= 900)
+    assert "warnings" not in read_run(write(tmp_path / "small", stamped(messages, jumping), facts)).facts
+    jumping += 500_000_000 * (np.arange(3000) >= 2000)
+    (warning,) = read_run(write(tmp_path / "large", stamped(messages, jumping), facts)).facts["warnings"]
+    assert "the clock jumps ahead by 0.5 s after sample 1999" in warning
+
+
+def test_a_jump_is_named_in_the_run_in_which_it_is(tmp_path: Path) -> None:
+    numbers = [*range(1000), *range(800)]
+    stamps = np.r_[STAMPS[:1000], STAMPS[:800] + 60 * 10**9 + 10**9 * (np.arange(800) >= 300)]
+    first, second = read_runs(write(tmp_path / "bag", stamped([response(k) for k in numbers], stamps), {}))
+    assert "warnings" not in first.facts, "the pause between the runs is no jump"
+    assert "run 2 of 2: the clock jumps ahead by 1 s after sample 299;" in second.facts["warnings"][0]
+
+
+def test_of_a_long_stream_some_stamps_are_enough() -> None:
+    stream, numbers = StampStream(), np.arange(200_000)
+    stamps = numbers * STEP + 10**12 * (numbers >= 123_456)
+    for begin in range(0, 200_000, 777):
+        stream.add(stamps[begin : begin + 777], numbers[begin : begin + 777])
+    found = stream.times()
+    assert found.period == pytest.approx(0.004, rel=1e-9)
+    assert len(stream) <= MOST
 
 
 def test_a_rig_that_was_activated_again_gives_a_run_each_time(tmp_path: Path) -> None:

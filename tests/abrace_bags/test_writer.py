@@ -189,14 +189,14 @@ def test_counts_gaps_and_losses_stand_at_the_end(tmp_path: Path) -> None:
         bag.add_lost(topic, 4)
     with (tmp_path / "bag/bag_0.mcap").open("rb") as file:
         found = {record.name: record.metadata for record in mcap.reader.make_reader(file).iter_metadata()}
-    times = {"first_time": START, "last_time": START}
+    times = {"first_time": START, "last_time": START, "rate": 0.0}
     assert json.loads(found["abrace_topics"]["/response"]) == (
         {"messages": 24, "gaps": 8, "missing": 16, "lost": 4, "first_number": 0} | times
     )
     assert json.loads(found["abrace_topics"]["/note"]) == (
         {"messages": 3, "gaps": 0, "missing": 0, "lost": 0, "first_number": None}
         | times
-        | {"last_time": START + 2 * SECOND // 10}
+        | {"last_time": START + 2 * SECOND // 10, "rate": 10.0}
     )
     assert found["abrace_versions"]["mcap"]
 

@@ -59,6 +59,7 @@ class Bag:
         self.path = Path(path)
         self.files: list[BagFile] = []
         self._warnings: dict[str, None] = {}
+        self._disorder: set[str] = set()
         try:
             exists = self.path.exists()
         except OSError as error:
@@ -82,6 +83,11 @@ class Bag:
         """What is missing or can't be trusted, as far as the bag was read until now; one sentence each."""
         self._warn(())
         return tuple(self._warnings)
+
+    @property
+    def damage(self) -> tuple[str, ...]:
+        """The `warnings` without those of log times alone, which cost no message."""
+        return tuple(warning for warning in self.warnings if warning not in self._disorder)
 
     @cached_property
     def topics(self) -> dict[str, RecordedTopic]:
@@ -179,12 +185,14 @@ class Bag:
         """
         selection = Selection(topics, begin, end)
         try:
-            found, failed, notes = read_arrays(self.files, selection)
+            found, failed, missing, disorder = read_arrays(self.files, selection)
         except MemoryError as error:
             raise AbraceError(f"{self.path}: more than there is memory, expected a part of it") from error
-        self._warn(f"{self.path}: topic {note}" for note in notes)
+        of_order = [f"{self.path}: topic {note}" for note in disorder]
+        self._disorder.update(of_order)
+        self._warn([*(f"{self.path}: topic {note}" for note in missing), *of_order])
         self._check(selection)
-        if not notes:
+        if not missing:
             self._compare(selection, {name: one.log_time.size for name, one in found.items()})
         for name, why in failed.items():
             if topics:

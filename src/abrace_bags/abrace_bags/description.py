@@ -98,5 +98,5 @@ def _is_counted(opened: Bag, recorded: dict[str, TopicContent]) -> bool:
         for number, channel in file.channels.items():
             counts[channel.name] += file.summary.message_counts.get(number, 0)
     return {name: one.messages for name, one in recorded.items()} == counts and all(
-        one.first_time is not None for one in recorded.values() if one.messages
+        one.first_time is not None and one.stated_rate is not None for one in recorded.values() if one.messages
     )

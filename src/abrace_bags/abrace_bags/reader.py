@@ -55,13 +55,14 @@ class TopicArrays:
 
 def read_arrays(
     files: Sequence[BagFile], selection: Selection
-) -> tuple[dict[str, TopicArrays], dict[str, str], list[str]]:
+) -> tuple[dict[str, TopicArrays], dict[str, str], list[str], list[str]]:
     """Read the messages of a `selection` in the `files` of a bag.
 
     Returns
     -------
     tuple
-        The topics by name; why others can't be decoded, by name; what is to be said of those that can.
+        The topics by name; why others can't be decoded, by name; of those that can, what is left out, and what is wrong
+        with the order of their log times.
     """
     records: list[bytes] = []
     places: dict[str, list[tuple[NDArray[np.int64], NDArray[np.int64]]]] = {}
@@ -83,22 +84,23 @@ def read_arrays(
                     places[file.channels[number].name].append((some.begins + offset, some.sizes))
     content = b"".join(records)
     del records
-    found, failed, notes = {}, {}, []
+    found, failed, missing, disorder = {}, {}, [], []
     for name, parts in places.items():
         none = np.empty(0, np.int64)
         begins, sizes = (np.concatenate([none, *(part[k] for part in parts)]) for k in (0, 1))
         try:
-            found[name], note = _topic(selection.topics[name], content, begins, sizes)
-            notes += [f"{name}: {text}" for text in note]
+            found[name], lost, order = _topic(selection.topics[name], content, begins, sizes)
+            missing += [f"{name}: {text}" for text in lost]
+            disorder += [f"{name}: {text}" for text in order]
         except AbraceError as error:
             failed[name] = str(error)
-    return found, failed, notes
+    return found, failed, missing, disorder
 
 
 def _topic(
     topic: RecordedTopic, content: bytes, begins: NDArray[np.int64], sizes: NDArray[np.int64]
-) -> tuple[TopicArrays, list[str]]:
-    """The messages whose records are at `begins` in `content`, and what is to be said of them."""
+) -> tuple[TopicArrays, list[str], list[str]]:
+    """The messages whose records are at `begins` in `content`, what is left out, and what is wrong with their order."""
     decoded = decode(type_of(topic), content, begins + MESSAGE_HEAD_SIZE, begins + sizes)
     fields, fits = decoded.fields, begins[decoded.fits] if decoded.misfit else begins
     log_time, publish_time = (gather(content, "<i8", fits + offset) for offset in (LOG_TIME, PUBLISH_TIME))
@@ -106,7 +108,7 @@ def _topic(
     if order is not None:
         fields = {name: values[order] for name, values in fields.items()}
         log_time, publish_time = log_time[order], publish_time[order]
-    return TopicArrays(topic.type_name, fields, log_time, publish_time), [*left_out(decoded, len(begins)), *notes]
+    return TopicArrays(topic.type_name, fields, log_time, publish_time), left_out(decoded, len(begins)), notes
 
 
 def left_out(decoded: Decoded, count: int) -> list[str]:

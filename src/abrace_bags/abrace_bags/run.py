@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from abrace_bags.reader import TopicArrays
+from abrace_bags.stamps import stamped_times
 from abrace_core import AbraceError
 from abrace_core.model.run import Run
 
@@ -18,12 +19,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from abrace_core.files.sample_times import StampFault
+
 RESPONSE_TYPE = "abrace_interfaces/msg/Response"
 _FLOORS = ("displacement", "acceleration")
 _GROUPS = ("stroke", "command")
 _VECTORS = (*_FLOORS, *_GROUPS, "force")
 _PERIOD_ERROR = 0.01
 """How far the clock of a rig may be from the sample period that the facts state."""
+_LEAST_JUMP = 0.03
+"""Seconds by which stamps depart before a run is warned of whose facts state its period."""
+_MOST_TOLD = 3
+"""Faults of stamps that are named; of more the number."""
 
 
 def runs_of(source: str, response: TopicArrays, facts: Mapping[str, str], warnings: Sequence[str]) -> list[list[Run]]:
@@ -54,14 +61,19 @@ def runs_of(source: str, response: TopicArrays, facts: Mapping[str, str], warnin
         again |= np.diff(response.fields["run"]) != 0
     activated = [0, *(np.flatnonzero(again) + 1).tolist(), sequence.size]
     bounds = [0, *(np.flatnonzero(again | (np.diff(sequence) != 1)) + 1).tolist(), sequence.size]
-    period, note = _sample_period(response, facts, max(itertools.pairwise(bounds), key=lambda one: one[1] - one[0]))
+    period, note, faults = _sample_period(response, facts)
     runs = []
     for number, (begin, end) in enumerate(itertools.pairwise(activated), start=1):
         name = f"{source}, run {number} of {len(activated) - 1}" if len(activated) > 2 else source
         edges = [bound for bound in bounds if begin <= bound <= end]
         pieces = []
         for first, last in itertools.pairwise(edges):
+            told = [fault.text for fault in faults if first < fault.sample < last or fault.sample == first == begin]
             found = [*warnings, *note]
+            if told:
+                more = [f"and {len(told) - _MOST_TOLD} more"] if len(told) > _MOST_TOLD else []
+                wrong = "; ".join([*told[:_MOST_TOLD], *more])
+                found.append(f"{name}: {wrong}; the sample rate by all stamps is {1 / period:.6g} Hz")
             if len(edges) > 2:
                 span = f"samples {sequence[first]} to {sequence[last - 1]} are used, {(last - first) * period:g} s of"
                 found.append(f"{name}: {_gaps(sequence, edges, period)}; {span} {(end - begin) * period:g}")
@@ -138,14 +150,12 @@ def _finite(name: str, values: NDArray[np.float64], sequence: NDArray[np.uint64]
     return values
 
 
-def _sample_period(
-    response: TopicArrays, facts: Mapping[str, str], longest: tuple[int, int]
-) -> tuple[float, list[str]]:
-    """Seconds between two samples, and a warning if the facts and the stamps contradict each other.
+def _sample_period(response: TopicArrays, facts: Mapping[str, str]) -> tuple[float, list[str], list[StampFault]]:
+    """Seconds between two samples, a warning if the facts and the stamps contradict each other, faults of stamps.
 
-    The stamps are when samples were really taken. The facts say the period exactly, unless the stamps of the `longest`
-    run (its first sample, and the one behind its last) say something else, which then holds. Without facts it is that
-    of the stamps: a whole number of samples a second, if one lies within their jitter.
+    The stamps are when samples were really taken. The facts say the period exactly, unless the stamps say something
+    else, which then holds. Without facts it is that of the stamps: a whole number of samples a second, if one lies
+    within their jitter.
     """
     stated = None
     if "sample_period" in facts:
@@ -155,25 +165,17 @@ def _sample_period(
             stated = math.nan
         if not 0.0 < stated < math.inf:
             raise AbraceError(f"fact sample_period is {facts['sample_period']!r}, expected seconds above 0")
-    begin, end = longest
-    seconds, nanoseconds = (response.fields[f"header.stamp.{part}"][begin:end] for part in ("sec", "nanosec"))
-    stamps = (seconds.astype(np.int64) - int(seconds[0])) * 1_000_000_000 + nanoseconds
-    # the middle half: at the beginning a rig may take its time
-    middle = slice(stamps.size // 4, stamps.size - stamps.size // 4)
-    times = (stamps[middle] - stamps[middle][:1]) * 1e-9
-    numbers = np.arange(times.size)
-    if times.size < 2 or times[-1] <= 0.0:
+    seconds, nanoseconds = (response.fields[f"header.stamp.{part}"].astype(np.int64) for part in ("sec", "nanosec"))
+    found = stamped_times(seconds * 1_000_000_000 + nanoseconds, response.fields["sequence"].astype(np.int64))
+    if not found.period > 0:
         if stated is None:
             raise AbraceError("its stamps do not increase and the facts have no sample_period")
-        return stated, []
-    period = float(times[-1] / numbers[-1])
-    jitter = float(np.abs(times - numbers * period).max() / times[-1])
-    rate = round(1 / period)
-    whole = 1 / rate if rate and abs(rate * period - 1) <= 2 * jitter + 1e-9 else period
+        return stated, [], []
     if stated is None:
-        return whole, []
-    if abs(period / stated - 1) > _PERIOD_ERROR + 2 * jitter:
-        return whole, [
-            f"fact sample_period is {stated:g} s, but the samples' stamps are {whole:g} s apart, which is used"
-        ]
-    return stated, []
+        return found.whole, [], list(found.faults)
+    if abs(found.period / stated - 1) > _PERIOD_ERROR + 2 * found.jitter / max(found.span, found.period):
+        warning = (
+            f"fact sample_period is {stated:g} s, but the samples' stamps are {found.whole:g} s apart, which is used"
+        )
+        return found.whole, [warning], list(found.faults)
+    return stated, [], [fault for fault in found.faults if fault.size >= _LEAST_JUMP]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import fft
 
+from abrace_bags.bag import in_brackets
 from abrace_core import AbraceError
 from abrace_sysid.spectra.bands import excited_band, steady_band
 from abrace_sysid.spectra.welch import coherence_of
@@ -70,6 +71,7 @@ def prepared(test: Test, bands: Mapping[str, tuple[float, float]], others: Seque
     _require_finite(test)
     for name, band in bands.items():
         require_excited(test, name, band)
+    warned = test.warnings
     test = examined(test, (*bands, *others), next(iter(bands.values())))
     for name in bands:
         count, samples = test.clipped.get(name, 0), test.period or len(test.outputs)
@@ -80,7 +82,8 @@ def prepared(test: Test, bands: Mapping[str, tuple[float, float]], others: Seque
             )
     if len(test.faults) == len(test.names):
         reasons = ", ".join(f"{name} {reason}" for name, reason in test.faults.items())
-        raise AbraceError(f"{test.source}: no channel is a response to {' and '.join((*bands, *others))}: {reasons}")
+        none = f"{test.source}: no channel is a response to {' and '.join((*bands, *others))}: {reasons}"
+        raise AbraceError(f"{none}{in_brackets(warned)}")
     return test
 
 

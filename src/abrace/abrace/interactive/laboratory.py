@@ -48,7 +48,7 @@ def load_rig(rig: AnyRig) -> Rig:
 def load_record(
     record: Path | str, unit: str | None = None, sample_period: float | None = None, channel: str | int | None = None
 ) -> Record:
-    """Read a ground motion record, in m/s^2.
+    """Read a ground motion record, in m/s^2; a clock that was set during a bag's recording is a Python warning.
 
     Parameters
     ----------
@@ -66,7 +66,9 @@ def load_record(
     AbraceError
         If the file is wrong: with its line and what was expected; or with the known names.
     """
-    return read_record(record, unit, sample_period, channel)
+    found = read_record(record, unit, sample_period, channel)
+    warn(found.warnings)
+    return found
 
 
 def read_run(bag: Path | str, topic: str | None = None) -> Run:

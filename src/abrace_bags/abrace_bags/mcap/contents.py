@@ -14,6 +14,7 @@ import numpy as np
 
 from abrace_bags.mcap.chunk import MESSAGE_HEAD_SIZE
 from abrace_bags.sequence import NumberRanges, SequenceCounter, clock_was_set_back
+from abrace_bags.stamps import StampStream
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 COUNTS_RECORD = "abrace_topics"
 """Name of the metadata record: by topic, JSON with what `_RECORDED` names."""
-_RECORDED = ("messages", "gaps", "missing", "lost", "first_time", "last_time", "first_number")
+_RECORDED = ("messages", "gaps", "missing", "lost", "first_time", "last_time", "first_number", "rate")
 
 _NUMBERED = re.compile(r"\s*std_msgs/(msg/)?Header\s+\w+\s+uint64\s+sequence(\s|$)")
 """What a definition without comments and constants begins with, whose messages are numbered."""
@@ -32,9 +33,9 @@ _NO_FIELD = re.compile(r"#.*|^[ \t]*[\w/]+[ \t]+\w+[ \t]*=.*", re.MULTILINE)
 _OUT_OF_TURN = 100_000_000
 """How far the times of several publishers' messages may step back [ns]; a larger step means a clock that was set
 back."""
-_LENGTH_OFFSET, _FRAME_OFFSET = MESSAGE_HEAD_SIZE + 12, MESSAGE_HEAD_SIZE + 16
-"""Offsets in a message record of the length of the header's frame_id, and of its text."""
-_LENGTH, _SEQUENCE = struct.Struct("<I"), struct.Struct("<Q")
+_STAMP_OFFSET, _LENGTH_OFFSET, _FRAME_OFFSET = (MESSAGE_HEAD_SIZE + after for after in (4, 12, 16))
+"""Offsets in a message record of the header's stamp, of the length of its frame_id, and of its text."""
+_STAMP_AND_LENGTH, _SEQUENCE = struct.Struct("<iII"), struct.Struct("<Q")
 
 
 @dataclass
@@ -57,6 +58,8 @@ class TopicContent:
         All that were read; None for topics that have none.
     steps_back
         Whether log times step back.
+    stated_rate
+        The `rate` as the bag says; None: it is found by the messages.
     """
 
     messages: int = 0
@@ -68,8 +71,10 @@ class TopicContent:
     first_number: int | None = None
     numbers: NumberRanges | None = field(default=None, compare=False)
     steps_back: bool = False
+    stated_rate: float | None = field(default=None, compare=False)
     _last: tuple[int, int] = field(default=(-1, -1), compare=False)
     _counter: SequenceCounter = field(default_factory=SequenceCounter, compare=False)
+    _stamps: StampStream = field(default_factory=StampStream, compare=False)
 
     @classmethod
     def of(cls, definition: str) -> TopicContent:
@@ -82,7 +87,12 @@ class TopicContent:
 
     @property
     def rate(self) -> float:
-        """Messages a second between the first and the last; 0 where there are fewer than two."""
+        """Samples a second by their stamps, of messages without numbers by their log times; 0: fewer than two."""
+        if self.stated_rate is not None:
+            return self.stated_rate
+        period = self._stamps.times().period
+        if period > 0:
+            return 1 / period
         span = 1e-9 * ((self.last_time or 0) - (self.first_time or 0))
         return (self.messages - 1) / span if span else 0.0
 
@@ -90,16 +100,21 @@ class TopicContent:
         """Count messages with these log `times` [ns] that were written at `begins` in a chunk of `records`."""
         self._add_times(len(times), min(times), max(times))
         if self.numbers is None:
+            self._stamps.add(np.array(times, np.int64))
             return
+        stamps, numbers = [], []
         for begin in begins:
             try:
-                (size,) = _LENGTH.unpack_from(records, begin + _LENGTH_OFFSET)
+                seconds, nanoseconds, size = _STAMP_AND_LENGTH.unpack_from(records, begin + _STAMP_OFFSET)
                 end = _FRAME_OFFSET - MESSAGE_HEAD_SIZE + size
                 (number,) = _SEQUENCE.unpack_from(records, begin + MESSAGE_HEAD_SIZE + end + (4 - end) % 8)
             except struct.error:
                 continue
             self.first_number = number if self.first_number is None else self.first_number
             self._counter.add(number)
+            stamps.append(seconds * 1_000_000_000 + nanoseconds)
+            numbers.append(number)
+        self._stamps.add(np.array(stamps, np.int64), np.array(numbers, np.uint64))
         self.gaps, self.missing = self._counter.gaps, self._counter.missing
 
     def read(self, messages: Messages) -> bool:
@@ -110,6 +125,8 @@ class TopicContent:
         log_time = messages.log_time
         self._add_times(log_time.size, int(log_time.min()), int(log_time.max()))
         before, number_before = self._last
+        if self.numbers is None:
+            self._stamps.add(log_time)
         self.steps_back |= bool((np.diff(log_time, prepend=max(before, 0)) < -_OUT_OF_TURN).any())
         number, set_back = -1, False
         if self.numbers is not None:
@@ -120,6 +137,10 @@ class TopicContent:
                 number = int(numbers[-1])
             if numbers.size == log_time.size:
                 times = log_time
+                seconds, nanoseconds = (
+                    messages.numbers(form, at) for form, at in (("<i4", _STAMP_OFFSET), ("<u4", _STAMP_OFFSET + 4))
+                )
+                self._stamps.add(seconds * np.int64(1_000_000_000) + nanoseconds, numbers)
                 if number_before >= 0:
                     times, numbers = np.append(before, times), np.append(np.uint64(number_before), numbers)
                 set_back = clock_was_set_back(times, numbers)
@@ -158,5 +179,7 @@ def recorded_contents(records: Mapping[str, Mapping[str, str]]) -> dict[str, Top
         with contextlib.suppress(ValueError, TypeError, AttributeError):
             counts: dict[str, Any] = {name: json.loads(text).get(name) for name in _RECORDED}
             if all(isinstance(counts[name], int) for name in _RECORDED[:3]):
-                found[topic] = TopicContent(**counts)
+                found[topic] = TopicContent(
+                    **{name: counts[name] for name in _RECORDED[:-1]}, stated_rate=counts["rate"]
+                )
     return found

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sample period of printed times: rounded ones have equal steps within half of the last digit printed."""
+"""The sample period of times in a table: rounded ones have equal steps within half of the last digit printed.
+
+To others a slope is fitted (`sample_times`): what is wrong with them is an error, or a warning where no sample can be
+missing.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from abrace_core.files.sample_times import sample_times
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -18,6 +24,12 @@ if TYPE_CHECKING:
 TOLERANCE = 0.02
 """Greatest deviation of times from equal steps beyond their rounding, in steps; a missing sample is a whole one."""
 
+SHOWS = 0.6
+"""Greatest departure that jitter explains where a missing sample, which is a whole step, shows, in steps."""
+GIVEN = 0.5
+"""Greatest departure of the last time by a step that the user gives for times that are not even, in steps."""
+LEAST_WRONG = 30
+"""Times among which single ones may be wrong."""
 
 _WRITTEN = str.maketrans(",d", ".e")
 """A decimal comma, and Fortran's D for an exponent."""
@@ -51,7 +63,7 @@ def even_step(
     half: NDArray[np.float64] | float,
     given: float | None,
     error_at: Callable[[str, int | None], AbraceError],
-) -> float:
+) -> tuple[float, dict[int, str]]:
     """The step of evenly spaced `times` [s].
 
     Parameters
@@ -63,30 +75,67 @@ def even_step(
     error_at
         Makes the error of a message about a sample (the first is 0), or about all (None).
 
+    Returns
+    -------
+    tuple
+        The step [s], and by sample what is wrong with times although no sample is missing: a counter wraps, single
+        times are late, repeated or impossible, or steps differ a little.
+
     Raises
     ------
     AbraceError
-        If times do not rise, or no step fits.
+        If times do not rise, no step fits, or a sample may be missing.
     """
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         half = np.broadcast_to(np.minimum(half, 0.49 * np.abs(times[-1] - times[0])), times.shape)
         mean = float((times[-1] - times[0]) / max(len(times) - 1, 1))
-        if not (math.isfinite(mean) and mean > 0):
-            raise error_at("times that do not increase, expected equal steps", len(times) - 1)
-        spread = (half[0] + half[-1] + 4 * np.spacing(np.abs(times).max())) / (len(times) - 1)
-        if given is not None:
-            if _fits(times, half, given):
-                return given
-            raise error_at(f"sample period {mean:g} s by its times, {given:g} s was given", None)
-        found = next((step for step in _candidates(mean, spread) if _fits(times, half, step)), None)
-        steps = np.diff(times)
-        if found is None or (np.ptp(steps) > TOLERANCE * found and (half[:LEAST_PRECISE] > HIDES * found).any()):
-            found = mean
-            if not _fits(times, np.zeros_like(half), mean):
-                usual = float(np.median(steps))
-                worst = int(np.argmax(np.abs(steps - usual) - half[1:] - half[:-1])) + 1
-                raise error_at(f"time step {steps[worst - 1]:g} s, expected equal steps of {usual:g} s", worst)
-    return found
+        if math.isfinite(mean) and mean > 0:
+            spread = (half[0] + half[-1] + 4 * np.spacing(np.abs(times).max())) / (len(times) - 1)
+            candidates = _candidates(mean, spread) if given is None else [given]
+            found = next((step for step in candidates if _fits(times, half, step)), None)
+            uneven = found is not None and np.ptp(np.diff(times)) > TOLERANCE * found
+            if found is not None and (
+                given is not None or not (uneven and (half[:LEAST_PRECISE] > HIDES * found).any())
+            ):
+                return found, {}
+        return _fitted_step(times, half, given, error_at)
+
+
+def _fitted_step(
+    times: NDArray[np.float64],
+    half: NDArray[np.float64],
+    given: float | None,
+    error_at: Callable[[str, int | None], AbraceError],
+) -> tuple[float, dict[int, str]]:
+    """As `even_step`, where no step fits all times."""
+    rounding = float(np.median(half))
+    found = sample_times(times, resolution=2 * rounding)
+    steps = np.diff(times)
+    if not found.period > 0:
+        falls = np.flatnonzero(~(steps > 0))
+        at = (
+            f" after sample {falls[0]}, from {times[falls[0]]:.6g} to {times[falls[0] + 1]:.6g} s" if len(falls) else ""
+        )
+        what = "times that fall" if len(falls) and np.median(steps) < 0 else "times that do not increase"
+        raise error_at(f"{what}{at}, expected equal steps", int(falls[0]) + 1 if len(falls) else len(times) - 1)
+    for fault in found.faults:
+        if fault.kind in ("step", "drift", "uneven"):
+            raise error_at(fault.text, fault.sample)
+    period = found.period
+    if given is not None:
+        if abs(given - period) * (len(times) - 1) > GIVEN * period:
+            raise error_at(f"sample period {period:g} s by its times, {given:g} s was given", None)
+        period = given
+    usual = float(np.median(steps))
+    worst = int(np.argmax(np.abs(steps - usual) - half[1:] - half[:-1])) + 1
+    few, differ = bool(found.faults) and len(times) < LEAST_WRONG, found.step_error > TOLERANCE * period
+    if (differ and rounding > HIDES * period) or found.hidden > SHOWS * period or few:
+        raise error_at(f"time step {steps[worst - 1]:.6g} s, expected equal steps of {period:.4g} s", worst)
+    wrong = {fault.sample: fault.text for fault in found.faults}
+    if found.step_error > 2 * (rounding + TOLERANCE * period):
+        text = f"time steps depart from {period:.4g} s by up to {100 * found.step_error / period:.2g} %"
+        wrong.setdefault(worst, f"{text}: the samples are taken as even")
+    return period, wrong
 
 
 def _fits(times: NDArray[np.float64], half: NDArray[np.float64], step: float) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from datetime import date, datetime
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -25,6 +26,9 @@ _OTHER_UNIT = re.compile(
     r"-|m?V|volts?|counts?|raw|lsb|[kM]?N|[kM]?Pa|k?Hz|°?[CF]|m?A|rad/s|deg/s|.*strain|µ?m/m", re.IGNORECASE
 )
 _SUFFIX = re.compile(r"^(?P<name>.*?)(?:[_ ]|\s*[/,]\s*)(?P<unit>s|ms|us|µs|sec|msec|usec|seconds)$", re.IGNORECASE)
+_CLOCK = re.compile(
+    r"(?:.*?(\d{4})[-/](\d\d)[-/](\d\d)|.*?)(?:.*?\D)??(\d{1,2}):(\d\d):(\d\d)([.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?"
+)
 _TIME = re.compile(r"t|.*time|time.*|tiempo|temps|zeit|tempo|.*timestamp|sampletimefine|seconds|sec", re.IGNORECASE)
 
 
@@ -61,6 +65,23 @@ class Column:
         if not own and (short := _SUFFIX.match(written)) and _TIME.fullmatch(short["name"]):
             name, own = short["name"], short["unit"]
         return cls(written, name or written, unit or own, cells, lines)
+
+    @property
+    def is_dates(self) -> bool:
+        """Whether its cells are dates or durations of NumPy or pandas."""
+        return isinstance(self.cells, np.ndarray) and self.cells.dtype.kind in "mM"
+
+    @property
+    def as_seconds(self) -> Self:
+        """Of times: dates as seconds since the first, texts of hours, minutes and seconds as seconds of the day."""
+        if isinstance(self.cells, np.ndarray):
+            if not self.is_dates:
+                return self
+            since = self.cells - self.cells[0]
+            seconds = since.astype("timedelta64[ns]").astype(np.int64) / 1e9
+            return replace(self, cells=np.where(np.isnat(since), np.nan, seconds), unit="s")
+        dated = len(self.cells) and ":" in self.cells[0]
+        return replace(self, cells=_seconds(self.cells)) if dated else self
 
     @property
     def is_time(self) -> bool:
@@ -109,6 +130,8 @@ class Table:
         found, mistakes = [], []
         for column in columns:
             if isinstance(column.cells, np.ndarray):
+                if column.is_dates:
+                    raise AbraceError(f"{self.source}: column {column.name} holds dates, expected numbers")
                 found.append(np.asarray(column.cells, dtype=np.float64))
                 continue
             numbers = [_number(cell) for cell in column.cells]
@@ -125,16 +148,29 @@ class Table:
         return found
 
     def step(self, column: Column, given: float | None = None) -> float:
-        """The sample period [s] of a column of times, in its unit, or in s where it has none; `given` decides.
+        """The sample period [s] of a `column` of times, of which none may be wrong; as `sampling`.
 
         Raises
         ------
         AbraceError
-            If its unit is none of time, or the steps are not even.
+            As of `sampling`, and where that warns.
         """
-        cells = column.cells
-        if len(cells) and isinstance(cells[0], str) and ":" in cells[0]:
-            column = replace(column, cells=[_seconds(cell) for cell in cells])
+        step, warnings = self.sampling(column, given)
+        if warnings:
+            raise AbraceError(warnings[0])
+        return step
+
+    def sampling(self, column: Column, given: float | None = None) -> tuple[float, tuple[str, ...]]:
+        """The sample period [s] of a `column` of times, and what is wrong with them although no sample is missing.
+
+        Times are in their unit, or in s where it has none, or dates; `given` [s] decides where it fits.
+
+        Raises
+        ------
+        AbraceError
+            If its unit is none of time, the steps are not even, or a sample may be missing.
+        """
+        column = column.as_seconds
         (times,) = self.values([column])
         unit = unit_in_header(column.unit) if column.unit else Unit(1.0, TIME)
         if unit is None or unit.dimension != TIME:
@@ -149,15 +185,31 @@ class Table:
         wrong = np.flatnonzero(~np.isfinite(times))
         if wrong.size:
             raise error_at(f"{times[wrong[0]]:g}, expected a finite time", int(wrong[0]))
-        return even_step(times * unit.factor, half, given, error_at)
+        step, noted = even_step(times * unit.factor, half, given, error_at)
+        return step, tuple(str(error_at(text, sample)) for sample, text in noted.items())
 
 
-def _seconds(cell: str) -> str:
-    """The seconds of the day of a time such as 2020-01-01 12:00:00.005; another text as it is."""
-    found = re.fullmatch(r".*?(\d{1,2}):(\d\d):(\d\d)([.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?", cell.strip(' "'))
-    if not found:
-        return cell
-    return f"{3600 * int(found[1]) + 60 * int(found[2]) + int(found[3])}{(found[4] or '').replace(',', '.')}"
+def _seconds(cells: Sequence[str]) -> list[str]:
+    """The seconds of times such as 12:00:00.005 since midnight, of the first date where they have dates.
+
+    >>> _seconds(["2020-02-28 23:59:59.5", "2020-02-29T00:00:00.0"])
+    ['86399.5', '86400.0']
+    """
+    first: int | None = None
+    found = []
+    for cell in cells:
+        written = _CLOCK.fullmatch(cell.strip(' "'))
+        try:
+            day = date(*map(int, written.groups()[:3])).toordinal() if written and written[1] else 0
+        except ValueError:  # no such day
+            written = None
+        if not written:
+            found.append(cell)
+            continue
+        first = day if first is None else first
+        seconds = 86400 * (day - first) + 3600 * int(written[4]) + 60 * int(written[5]) + int(written[6])
+        found.append(f"{seconds}{(written[7] or '').replace(',', '.')}")
+    return found
 
 
 def _number(cell: str) -> float | None:
@@ -180,9 +232,9 @@ def array_table(arrays: Mapping[str, Any], source: str) -> Table:
     """
     columns: list[Column] = []
     for name, array in _flat(arrays, ""):
-        if array.dtype.kind == "O":
+        if array.dtype.kind in "OU":
             array = _numbers_or_none(array)
-        if array.dtype.kind not in "fiu" or array.size < 2 or array.ndim not in (1, 2):
+        if array.dtype.kind not in "fiumM" or array.size < 2 or array.ndim not in (1, 2):
             continue
         if array.ndim == 1 or 1 in array.shape:
             columns.append(Column.of(name, "", array.ravel()))
@@ -210,8 +262,15 @@ def _flat(arrays: Mapping[str, Any], prefix: str) -> list[tuple[str, NDArray[Any
 
 
 def _numbers_or_none(array: NDArray[Any]) -> NDArray[Any]:
-    """The numbers in an array of objects, as a column of pandas with empty cells is; the array if it has others."""
+    """The numbers or times in an array of objects or texts, as columns of pandas may be; the array if it has others."""
     try:
         return array.astype(np.float64)
     except (TypeError, ValueError):
+        cells = array.ravel().tolist()
+    if all(isinstance(each, datetime) for each in cells):  # with a time zone
+        seconds = np.array([(each - cells[0]).total_seconds() for each in cells])
+    elif all(isinstance(each, str) and _CLOCK.fullmatch(each.strip(' "')) for each in cells):
+        seconds = np.array([_number(each) or 0.0 for each in _seconds(cells)])
+    else:
         return array
+    return np.asarray((1e9 * seconds).round().astype("timedelta64[ns]").reshape(array.shape))

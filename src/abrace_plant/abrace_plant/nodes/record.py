@@ -48,6 +48,8 @@ class ShowRecord(AbraceNode):
         rig = rig_as_given(given)
         rate = rig.sample_rate
         record = read_as_given(given.record, given)
+        for warning in record.warnings:
+            self.get_logger().warning(warning)
         treatment = Treatment.of_values(given)
         motion = Record(record.name, 1 / rate, prepare(record, rate, treatment))
         if len(motion.acceleration) < 2:

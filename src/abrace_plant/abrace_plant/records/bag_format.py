@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag, or its `.mcap` file, as a record: the table's acceleration in its test, or that of a floor (channel `a3`).
 
-No sample may be missing.
+No sample may be missing. A clock that was set during the recording is a warning: samples have numbers.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from abrace_bags import Bag
@@ -30,17 +31,19 @@ def read_bag(name: str, path: Path, channel: str | None) -> Reading:
         Name of an acceleration; None: w, the table's.
     """
     try:
-        run = Bag(path).run()
+        bag = Bag(path)
+        run = bag.run()
     except AbraceError as error:
         raise AbraceError(f"ground motion {error}") from error
     known, chosen = (GROUND, *(each for each in run.names if unit(each) == "m/s^2")), (channel or GROUND).strip()
     if chosen not in known:
         raise record_error(name, f"no acceleration {chosen!r} in it, expected channel as one of {', '.join(known)}")
-    if missing := [each for each in run.facts.get("warnings", ()) if "have no checksum" not in each]:
+    if missing := [each for each in bag.damage if "have no checksum" not in each]:
         raise record_error(name, f"not whole: {missing[0]}")
 
     def error_at(message: str, _: int | None) -> AbraceError:
         return record_error(name, message, chosen)
 
     values = run.channels([chosen])[:, 0]
-    return checked_reading(values, error_at, unit="m/s^2", sample_period=run.sample_period, chosen=chosen)
+    reading = checked_reading(values, error_at, unit="m/s^2", sample_period=run.sample_period, chosen=chosen)
+    return replace(reading, warnings=tuple(each for each in run.facts.get("warnings", ()) if each not in bag.damage))

@@ -108,7 +108,8 @@ def read_record(
     if not np.isfinite(acceleration).all():
         raise record_error(name, "a value that overflows in m/s^2, expected an acceleration")
     chosen = f"{reading.chosen or 'values'} in {stated}"
-    return Record(record_name(name), _period(name, reading.sample_period, sample_period), acceleration, chosen)
+    period = _period(name, reading.sample_period, sample_period)
+    return Record(record_name(name), period, acceleration, chosen, reading.warnings)
 
 
 def _files_beside(path: Path) -> list[str]:

@@ -107,3 +107,8 @@ class SimulateOptions(RecordOptions):
     sample_period: NonNegative = Field(
         default=0.0, description="s, of a simulated model; 0: that of the controller, or of the tests of the model"
     )
+    disturbance: str = Field(
+        default="",
+        description="of a model: name of the input that the record drives; empty: w, or the only one that is no "
+        "command, or the command's own place",
+    )

@@ -40,12 +40,15 @@ class Reading:
         As written; None where the file does not state it.
     chosen
         What of the file it is, such as its column; empty: all.
+    warnings
+        One sentence each, of the times of the samples.
     """
 
     acceleration: NDArray[np.float64]
     sample_period: float | None
     unit: str | None
     chosen: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 def factor_of(unit: str) -> float | None:

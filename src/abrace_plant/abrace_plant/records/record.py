@@ -32,12 +32,15 @@ class Record(Tabular):
         (samples,) [m/s^2], at least two samples.
     chosen
         What of the file was read, and in which unit it is.
+    warnings
+        One sentence each, such as of a clock that was set during the recording.
     """
 
     name: str
     sample_period: float
     acceleration: NDArray[np.float64]
     chosen: str = ""
+    warnings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         chosen = f", from {self.chosen}" if self.chosen else ""

@@ -275,7 +275,9 @@ def _read_caltech(file: RecordText, block: _Block, chosen: str) -> Reading:
         what = "volume 1 of a film, expected its volume 2: "
         return file.error(what + message, None if sample is None else fields[2 * sample][1])
 
-    period = even_step(pairs[:, 0], half_last_digits([text for text, _ in fields[::2]]), None, error_at)
+    period, wrong = even_step(pairs[:, 0], half_last_digits([text for text, _ in fields[::2]]), None, error_at)
+    for sample, text in wrong.items():
+        raise error_at(text, sample)
     return checked_reading(pairs[:, 1], error_at, unit="g/10", sample_period=period, chosen=chosen)
 
 

@@ -118,7 +118,7 @@ class Test:
 
     @classmethod
     def of(cls, run: Run) -> Test:
-        """The test of a rig that a `run` recorded.
+        """The test that a `run` recorded or simulated.
 
         Raises
         ------
@@ -132,7 +132,8 @@ class Test:
                 "samples, as a bag's tests have them"
             )
         excitation = np.column_stack([run.ground_acceleration, run.command_from_here])
-        braces, inputs = run.braces or (1,) * run.groups, (signals.GROUND, *run.command_names)
+        braces, inputs = run.braces or (1,) * run.groups, (run.disturbance, *run.command_names)
+        of_rig = not run.signals
         flagged = {name: count or 0 for name, count in (run.clipped_samples or {}).items()}
         return cls(
             run.source,
@@ -141,9 +142,10 @@ class Test:
             run.names,
             excitation,
             run.outputs,
-            hold="rig",
+            run.units,
+            hold="rig" if of_rig else "zero",
             floors=run.floors,
-            braces=braces,
+            braces=braces if of_rig else (),
             facts=run.facts,
             flagged=flagged,
             warnings=tuple(run.facts.get("warnings", ())),
@@ -207,7 +209,8 @@ class Test:
         sample_rate
             [Hz]; 0: computed from the time column, or as the file states it. It decides where times are rounded.
         time
-            Name of the column with the times of the samples, evenly spaced, in s unless it states ms or us.
+            Name of the column with the times of the samples, evenly spaced: in s unless it states ms or us, or dates.
+            Where one is wrong and no sample can be missing (`Table.sampling`), that is a warning.
         units, hold
             As of `Test`. With "rig" the names are those of a rig: `w` and the commands `U`, `x1`, `a1`, `xf`, `f` ...
         source
@@ -216,7 +219,8 @@ class Test:
         Raises
         ------
         AbraceError
-            If a column does not exist, columns differ in length, or the times are not evenly spaced.
+            If a column does not exist, columns differ in length, the times are not evenly spaced, or a sample may be
+            missing.
         """
         if not isinstance(arrays, Table):
             if not hasattr(arrays, "keys"):
@@ -235,7 +239,7 @@ class Test:
             columns |= {name: column for name, column in _others(arrays, asked).items() if name not in columns}
             outputs = [name for name in columns if name not in (*inputs, time)]
         given = 1 / sample_rate if sample_rate > 0 else None
-        period = arrays.step(columns[time], given) if time else given or arrays.sample_period
+        period, wrong = arrays.sampling(columns[time], given) if time else (given or arrays.sample_period, ())
         if period is None:
             times = [column.name for column in arrays.columns if column.is_time]
             hint = f", such as time={times[0]!r}" if times else ""
@@ -252,7 +256,8 @@ class Test:
         units = {name: columns[name].unit for name in wanted if columns[name].unit} | dict(units or {})
         floors, groups = (sum(name[:1] == letter and name[1:2] != "f" for name in wanted) for letter in "xU")
         rig = (floors, (1,) * groups) if hold == "rig" else (0, ())
-        return cls(source, period, tuple(inputs), tuple(outputs), excitation, measured, units, hold, *rig)
+        inputs, outputs = tuple(inputs), tuple(outputs)
+        return cls(source, period, inputs, outputs, excitation, measured, units, hold, *rig, warnings=wrong)
 
     @property
     def seconds(self) -> float:
@@ -304,20 +309,29 @@ class Test:
         return replace(self, excitation=self.excitation[first:last], outputs=self.outputs[first:last])
 
     def in_time(self, late: Mapping[str, float]) -> Test:
-        """The test with outputs that are `late` by so many seconds, by name, moved to the others; the ends are lost."""
+        """The test with channels moved in time; the ends are lost.
+
+        Parameters
+        ----------
+        late
+            By name: by how many seconds an output is late, or an input acts late.
+        """
         lost = max((int(np.ceil(abs(by) / self.sample_period)) for by in late.values()), default=0)
         if not lost:
             return self
-        outputs, margin = self.outputs.copy(), min(MARGIN, len(self.outputs) - 1)
+        outputs, excitation = self.outputs.copy(), self.excitation.copy()
+        margin = min(MARGIN, len(self.outputs) - 1)
         taper = np.sin(np.linspace(0, np.pi / 2, margin)) ** 2
-        window = np.concatenate([taper, np.ones(len(outputs)), taper[::-1]])
+        window = np.concatenate([taper, np.ones(len(self.outputs)), taper[::-1]])
         for name, by in late.items():
-            column = self.names.index(name)
-            offset = outputs[:, column].mean()
-            longer = np.pad(outputs[:, column] - offset, margin, "reflect", reflect_type="odd") * window
-            turn = np.exp(2j * np.pi * np.fft.rfftfreq(len(longer), self.sample_period) * by)
-            outputs[:, column] = offset + np.fft.irfft(np.fft.rfft(longer) * turn, len(longer))[margin:-margin]
-        return replace(self, outputs=outputs).part(lost, len(outputs) - lost)
+            # an output is moved ahead, an input back
+            is_output = name in self.names
+            column = outputs[:, self.names.index(name)] if is_output else excitation[:, self.inputs.index(name)]
+            offset = column.mean()
+            longer = np.pad(column - offset, margin, "reflect", reflect_type="odd") * window
+            turn = np.exp(2j * np.pi * np.fft.rfftfreq(len(longer), self.sample_period) * (by if is_output else -by))
+            column[:] = offset + np.fft.irfft(np.fft.rfft(longer) * turn, len(longer))[margin:-margin]
+        return replace(self, outputs=outputs, excitation=excitation).part(lost, len(self.outputs) - lost)
 
     def select(self, names: Sequence[str]) -> Test:
         """The same test with only the outputs `names`."""
@@ -404,7 +418,7 @@ def _asked(table: Table, names: Sequence[str]) -> tuple[dict[str, Column], set[i
 
 def _others(table: Table, asked: set[int]) -> dict[str, Column]:
     """The columns of numbers that are not asked for, by their names without units where these differ."""
-    others = [(i, column) for i, column in enumerate(table.columns) if i not in asked]
+    others = [(i, column) for i, column in enumerate(table.columns) if not (i in asked or column.is_dates)]
     short = [column.name for column in table.columns]
     names = [column.name if short.count(column.name) == 1 and column.name else table.names[i] for i, column in others]
     once(names, table.source)
