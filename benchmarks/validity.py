@@ -120,7 +120,7 @@ def planted(fault: str, seed: int) -> tuple[list[Run], IdentificationOptions]:
         return both_tests(replace(rig, braces=(slow,)), seed), options
     tests = both_tests(rig, seed)
     if fault == "mode missed":
-        return tests, options.model_copy(update={"command_order": 8 + 2 * (seed % 2)})
+        return tests, options.model_copy(update={"modes": 4 + seed % 2})
     wrong = {
         "swapped sensors": swapped,
         "dead channel": dead,

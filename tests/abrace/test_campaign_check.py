@@ -70,6 +70,17 @@ def test_everything_that_is_wrong_is_told_before_the_first_test(tmp_path: Path) 
         assert line.startswith(start), f"{line}, expected {start}"
 
 
+def test_a_design_from_a_model_of_data_is_checked_by_the_names_of_that_model(tmp_path: Path) -> None:
+    of_data = LinearModel([[-1.0]], [[1.0, 2.0]], [[1.0]], [[0.0, 0.0]], ("shaker", "base"), ("roof",))
+    save_model(of_data, tmp_path / "data.json")
+    (tmp_path / "names.yaml").write_text("measured: [roof]\nsignals: {roof: 1.0}\nnoise_to_excitation: 0.1\n")
+    step = "{name: NAME, design: {model: ./data.json, weights: ./names.yaml, commands: [shaker], disturbance: BASE}}"
+    right, wrong = step.replace("NAME", "a").replace("BASE", "base"), step.replace("NAME", "b").replace("BASE", "road")
+    assert checked(tmp_path, right)
+    found = [line for line in problems(tmp_path, right, wrong) if line.startswith("step")]
+    assert found == ["step b: design.model has no input road, it has shaker, base"]
+
+
 def test_what_a_verb_would_refuse_is_told_by_its_own_check_in_one_round(tmp_path: Path) -> None:
     """Options of every offline step, and a weights file; what pydantic finds, and what needs rig and tests."""
     weights = (find_file("lqg3", "abrace_lqg", "config", ".yaml", "weights")).read_text()
@@ -85,17 +96,17 @@ def test_what_a_verb_would_refuse_is_told_by_its_own_check_in_one_round(tmp_path
         f"{{name: w, test: {{duration: 70.0, ground_motion: {{record: white_noise, {noise}}}}}}}",
         f"{{name: u, test: {{duration: 70.0, excitation: {{{pushed}}}}}}}",
         identify("a", "method: papr"),
-        identify("b", "command_order: 7"),
+        identify("b", "modes: 2"),
         identify("c", "table_band: [5.0, 1.0]"),
         identify("d", "command_band: [0.3, 30.0]"),
         identify("e", 'segment: "4096"'),
         identify("f", "transfer_function: welch, segment: 40000"),
         identify("g", "mthod: paper"),
         identify("g1", "half_width: 3"),
-        identify("g2", "order: 40"),
+        identify("g2", "degree: 40"),
         identify("g3", "half_width: 700"),
-        identify("g4", "transfer_function: local_polynomial, order: 5"),
-        identify("g5", "command_order: 12, reduced_order: 16"),
+        identify("g4", "transfer_function: local_polynomial, degree: 5"),
+        identify("g5", "modes: 6, reduced_order: 16"),
         identify("g6", "method: paper, reduced_order: 25"),
         "{name: h, design: {model: b, weights: own.yaml}}",
         "{name: i, design: {model: b, weights: other.yaml, gain_margin: -1.0}}",
@@ -120,15 +131,15 @@ def test_what_a_verb_would_refuse_is_told_by_its_own_check_in_one_round(tmp_path
         "step k: design.excitation_band: [2.0, 1.0], expected two frequencies in Hz, the lower one first",
         "step n: ambient.band: [9.0, 1.0], expected two frequencies in Hz, the lower one first",
         "step q: ambient.highest_order: 2, expected greater than or equal to 4",
-        "step b: identify: identification: command_order 7, expected an even number of at least 6",
+        "step b: identify: identification: modes 2, expected at least 3, one for each floor",
         "step d: identify.command_band: 0.3 to 30 Hz, expected within the 0.3 to 20 Hz of u",
         "step f: identify.table: w: segments of 40000 in 35000 samples, expected 2 to 17500",
         "step f: identify.command: u: segments of 40000 in 35000 samples, expected 2 to 17500",
         *(
             f"step {step}: identify.{test}: local {message}"
             for step, message in (
-                ("g1", "rational method: order 2 and half_width 3, expected order >= 0 and half_width >= 4"),
-                ("g2", "rational method: order 40 and half_width 20, expected order >= 0 and half_width >= 42"),
+                ("g1", "rational method: degree 2 and half_width 3, expected degree >= 0 and half_width >= 4"),
+                ("g2", "rational method: degree 40 and half_width 20, expected degree >= 0 and half_width >= 42"),
             )
             for test in ("table", "command")
         ),

@@ -157,7 +157,48 @@ def small(late=(0.0, 0.0, 0.0), seed=0, samples=1600, noise=0.003, inputs=1):
     return Test("small", 0.02, names, ("a1", "a2", "a3"), force, outputs).part(200, size - 200)
 
 
-BELOW = DataOptions(inputs=("u",), band=(0.5, 20.0), most_modes=4)
+@pytest.mark.parametrize(
+    ("given", "pairs"), [({"modes": 1}, 1), ({"modes": 2}, 2), ({"order": 4}, 2), ({"modes": 4}, 4), ({"order": 8}, 4)]
+)
+def test_a_given_number_of_modes_or_states_is_met(given, pairs):
+    found = identify_data(small((0.0, 0.0, 0.0)), DataOptions.of({"inputs": ["u"], **given}))
+    assert len(found.is_mode) == pairs
+    # one input: two states for the modes above it may be, unless the number of states is given
+    assert found.model.order in ([given["order"]] if "order" in given else [2 * pairs, 2 * pairs + 2])
+    assert found.model.provenance["sample_period"] == 0.02
+    listed = [pair.frequency / (2 * np.pi) for pair in found.pairs]
+    # white noise moves an accelerometer in a mode the more the faster the mode is: 8 Hz explains most
+    for true in [8.0, 3.0][:pairs]:
+        assert min(abs(np.array(listed) - true)) < 0.05, "more are added to those that pay"
+
+
+def test_a_given_order_leaves_no_states_for_the_modes_above(data):
+    part = data.part(0, 2000).select(["place_1", "place_2"])
+    by_modes, by_order = (
+        identify_data(part, DataOptions.of({"inputs": data.inputs, **given})).model
+        for given in ({"modes": 6}, {"order": 12})
+    )
+    assert (by_modes.order, by_order.order) == (16, 12), "two inputs, and the tail of a mode at 130 Hz"
+
+
+def test_a_hum_is_none_of_the_modes_whose_number_is_given():
+    record = small()
+    hum = record.outputs.std() * np.sin(2 * np.pi * 12.0 * np.arange(len(record.outputs)) * record.sample_period)
+    found = identify_data(
+        replace(record, outputs=record.outputs + hum[:, None]), DataOptions.of({"inputs": ["u"], "modes": 2})
+    )
+    np.testing.assert_allclose([pair.frequency / (2 * np.pi) for pair in found.pairs], [3.0, 8.0], rtol=0.01)
+    assert len(found.not_driven)
+    np.testing.assert_allclose(np.abs(found.not_driven) / (2 * np.pi), 12.0, rtol=0.01)
+
+
+def test_more_modes_than_a_record_has_lines_for_are_refused():
+    record = small((0.0, 0.0, 0.0), inputs=2).part(0, 400).select(["a1"])
+    with pytest.raises(AbraceError, match=r"^identification: 60 modes, expected at most \d+"):
+        identify_data(record, DataOptions.of({"inputs": ["u", "v"], "modes": 60}))
+
+
+BELOW = DataOptions(inputs=("u",), band=(0.5, 20.0))
 LATE = [(0.0, 0.0, 3.0), (0.0, 0.4, 0.0), (-2.0, 0.0, 0.0), (1.0, 0.0, 5.0)]
 POLES = 2 * np.pi * np.array([3.0, 8.0, 1.4 * 24.0]) * (-0.01 + 1j)
 
@@ -332,7 +373,7 @@ def test_an_output_that_does_not_answer_is_left_out_and_named(data):
     dead = data.outputs.copy()
     dead[:, 3] = 0.5
     spoilt = Test("structure", data.sample_period, data.inputs, data.names, data.excitation, dead)
-    found = identify_data(spoilt.part(0, 2000), DataOptions(inputs=data.inputs, most_modes=2))
+    found = identify_data(spoilt.part(0, 2000), DataOptions(inputs=data.inputs, modes=2))
     assert found.warnings == ("structure: channel place_4 is left out: never changes from 0.5",)
     assert "place_4" not in found.model.outputs
 
@@ -438,7 +479,9 @@ def test_files_that_cannot_be_used_are_refused_with_one_line(mistake, tmp_path, 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"most_modes": 0}, "identification: most_modes: 0, expected greater than or equal to 1"),
+        ({"modes": -1}, "identification: modes: -1, expected greater than or equal to 0"),
+        ({"order": 7}, "order 7: an even number, two states for each pole pair"),
+        ({"order": 6, "modes": 2}, "order 6 and modes 2: order 4, or one of the two"),
         ({"band": (1.0,)}, "identification: band: .*, expected two frequencies in Hz"),
         ({"sample_rate": "100"}, "identification: sample_rate: '100', expected a number"),
         ({"units": ["a1"]}, r"identification: units: \['a1'\], expected NAME=UNIT"),

@@ -13,12 +13,12 @@ from abrace_sysid.spectra.welch import welch
 BAND, WIDE = (0.3, 10.0), (0.3, 30.0)
 
 
-def local_polynomial(run, name, band, order=4, half_width=6):
+def local_polynomial(run, name, band, degree=4, half_width=6):
     return frequency_responses(
         run,
         [name],
         band,
-        TransferFunctionOptions(transfer_function="local_polynomial", order=order, half_width=half_width),
+        TransferFunctionOptions(transfer_function="local_polynomial", degree=degree, half_width=half_width),
     )[0]
 
 
@@ -71,8 +71,8 @@ def test_lines_are_those_of_the_band_and_of_the_whole_record(plain_run):
 def test_what_cannot_be_estimated_is_refused_with_the_reason(plain_run):
     noise = np.random.default_rng(5).standard_normal(5_000)
     run = plain_run(noise, ground=noise)
-    with pytest.raises(AbraceError, match="half_width 5, expected order >= 0 and half_width >= 6"):
-        local_polynomial(run, "w", BAND, order=5, half_width=5)
+    with pytest.raises(AbraceError, match="half_width 5, expected degree >= 0 and half_width >= 6"):
+        local_polynomial(run, "w", BAND, degree=5, half_width=5)
     with pytest.raises(AbraceError, match="local polynomial method: 11 lines in the band, expected at least 13"):
         local_polynomial(run, "w", (1.0, 2.0))
     with pytest.raises(AbraceError, match=r"no frequency line between 0\.31 and 0\.32 Hz"):
@@ -128,7 +128,7 @@ def test_repeated_tests_and_pieces_of_longer_ones_average(laboratory_of, rig):
 def test_the_settings_follow_from_the_record(laboratory_of, rig):
     for seconds, half_width in ((60, 14), (100, 20)):
         (found,) = frequency_responses(laboratory_of(rig, 12).table_test(seconds), ("w",), BAND)
-        assert found.method == f"local rational method, order 2, half-width {half_width}"
+        assert found.method == f"local rational method, degree 2, half-width {half_width}"
 
 
 def test_given_options_override_the_automatic_ones(table_test):
@@ -136,11 +136,11 @@ def test_given_options_override_the_automatic_ones(table_test):
     for options, method in (
         ({"transfer_function": "welch", "segment": 8192}, "Welch, H1, hann, overlap 0.5, 8192 points"),
         (
-            {"transfer_function": "local_polynomial", "order": 4, "half_width": 6},
-            "local polynomial method, order 4, half-width 6",
+            {"transfer_function": "local_polynomial", "degree": 4, "half_width": 6},
+            "local polynomial method, degree 4, half-width 6",
         ),
-        ({"transfer_function": "local_polynomial"}, "local polynomial method, order 4, half-width 6"),
-        ({"order": 3, "half_width": 9}, "local rational method, order 3, half-width 9"),
+        ({"transfer_function": "local_polynomial"}, "local polynomial method, degree 4, half-width 6"),
+        ({"degree": 3, "half_width": 9}, "local rational method, degree 3, half-width 9"),
     ):
         assert frequency_responses(run, ("w",), BAND, TransferFunctionOptions.of(options))[0].method == method
     with pytest.raises(

@@ -247,7 +247,7 @@ def test_tests_that_are_not_what_they_should_be_are_refused(mistake, table_test,
         ({"servo_lag": -0.001}, r"servo_lag: -0\.001, expected greater than or equal to 0"),
         ({"servo_lag": np.nan}, "servo_lag: nan, expected a finite number"),
         ({"reduced_order": 8.5}, r"reduced_order: 8\.5, expected a valid integer"),
-        ({"command_order": 11}, "command_order 11, expected an even number of at least 6"),
+        ({"modes": 2}, "modes 2, expected at least 3, one for each floor"),
         (
             {"table_band": (5.0, 1.0)},
             r"table_band: \(5\.0, 1\.0\), expected two frequencies in Hz, the lower one first",

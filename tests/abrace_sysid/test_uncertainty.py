@@ -23,7 +23,7 @@ PAIRS = ((8.0, 0.1), (21.0, 0.1))
 NOISE = 0.01
 """Of each channel, over its rms."""
 
-SIX_MODES = IdentificationOptions(command_order=12)
+SIX_MODES = IdentificationOptions(modes=6)
 """As many as the paper's rig has: no other number is tried."""
 
 

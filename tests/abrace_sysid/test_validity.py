@@ -33,7 +33,7 @@ from abrace_sysid.validity.motion import Motion
 from abrace_sysid.validity.sensor_findings import contradicting, dead, saturated, spiked
 
 BAND, OPTIONS = (0.3, 10.0), IdentificationOptions(servo_lag=0.0008)
-SIX_MODES = OPTIONS.model_copy(update={"command_order": 12})
+SIX_MODES = OPTIONS.model_copy(update={"modes": 6})
 """As many as the rig has: no other number is tried."""
 SECONDS = 80.0
 
@@ -217,7 +217,7 @@ def test_backlash_of_the_pins_is_measured_in_metres(rig):
 
 
 def test_a_mode_that_the_order_leaves_out_is_named_with_its_frequency(table_test, command_test):
-    options = OPTIONS.model_copy(update={"command_order": 10})
+    options = OPTIONS.model_copy(update={"modes": 5})
     validity = judge(identify(begin_of(table_test, 50_000), begin_of(command_test, 50_000), options)).validity
     assert validity.verdict == Verdict.CARE
     assert validity.causes == ("mode missed",)

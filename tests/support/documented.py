@@ -42,7 +42,7 @@ POLES = [7.363, 22.933, 37.964]
 """Of the rig with zero command [rad/s]."""
 
 WELCH = {"transfer_function": "welch", "segment": 8192}
-LOCAL = {"transfer_function": "local_polynomial", "order": 4, "half_width": 6}
+LOCAL = {"transfer_function": "local_polynomial", "degree": 4, "half_width": 6}
 FAST: dict[str, Any] = {"method": "vector_fitting"}
 STUDY: dict[str, Any] = {
     "noise": [1, 2],
@@ -60,7 +60,7 @@ RUNS: dict[str, tuple[type[Options], list[dict[str, Any]]]] = {
         IdentificationOptions,
         [
             {},
-            {**FAST, "table_band": (0.3, 9.0), "command_band": (0.0, 30.0), "command_order": 12, "reduced_order": 8},
+            {**FAST, "table_band": (0.3, 9.0), "command_band": (0.0, 30.0), "modes": 6, "reduced_order": 8},
             {"method": "paper", "lambda_power": -6.0, "lambda_steps": 3, "servo_lag": 0.0008},
             WELCH,
             {**FAST, **LOCAL},
@@ -81,12 +81,12 @@ RUNS: dict[str, tuple[type[Options], list[dict[str, Any]]]] = {
                 "units": {"x1": "m"},
                 "hold": "zero",
                 "band": (0.5, 8.0),
-                "most_modes": 4,
+                "modes": 2,
                 "held_out": 0.2,
                 **WELCH,
                 "segment": 512,
             },
-            {"inputs": ["w"], "outputs": ["x1", "x3"], "sample_rate": 50.0, "band": (0.5, 8.0), **LOCAL},
+            {"inputs": ["w"], "outputs": ["x1", "x3"], "sample_rate": 50.0, "band": (0.5, 8.0), "order": 6, **LOCAL},
         ],
     ),
     "identify_ambient": (AmbientOptions, [{}, {"channels": ["a1", "a3"], "band": (0.5, 8.0), "highest_order": 24}]),
@@ -104,6 +104,8 @@ RUNS: dict[str, tuple[type[Options], list[dict[str, Any]]]] = {
                 "draw_seed": 3,
                 "sample_period": 0.002,
                 "force_limit": 2e4,
+                "commands": ["U"],
+                "disturbance": "w",
                 "excitation_rms": 0.1,
                 "excitation_band": (0.3, 9.0),
                 "accept": [*DesignOptions.listed()["accept"].choices],
@@ -148,6 +150,7 @@ RUNS: dict[str, tuple[type[Options], list[dict[str, Any]]]] = {
                 "sample_period": 0.002,
                 "duration": 4.0,
             },
+            {"disturbance": "w", "sample_period": 0.002, "duration": 4.0},
         ],
     ),
     "record": (
@@ -306,7 +309,7 @@ def _transfer_functions(run: dict[str, Any], data: Data, _folder: Path) -> None:
 def _identify_data(run: dict[str, Any], data: Data, _folder: Path) -> None:
     columns = data.columns if "time" in run else {name: data.columns[name] for name in ("w", "x1", "x3")}
     found = abrace.identify_data(columns, **run)
-    assert 0 < len(found.to_pandas()) <= run.get("most_modes", 60)
+    assert 0 < len(found.to_pandas()) <= run.get("modes", run.get("order", 120) // 2)
     assert sum(len(one.outputs) for one in found.held_out) == round(run.get("held_out", 0.0) * len(data.columns["t"]))
     assert min(abs(pair.frequency / POLES[0] - 1) for pair in found.found.pairs) < 0.02
     assert found.validity.verdict.words
@@ -350,7 +353,7 @@ def _fragility(run: dict[str, Any], data: Data, folder: Path) -> None:
 
 def _simulate(run: dict[str, Any], _data: Data, _folder: Path) -> None:
     record = "el_centro" if run else 0.1 * np.sin(np.arange(2000) * np.pi / 100) * np.hanning(2001)[:-1]
-    found = abrace.simulate(RIG, record, **run)
+    found = abrace.simulate(abrace.load_rig(RIG).model if "disturbance" in run else RIG, record, **run)
     assert np.isfinite(found.outputs).all()
     assert len(found.outputs) == 2000, "4 s"
 

@@ -72,8 +72,8 @@ def design(model: LinearModel, weights: Weights, sample_period: float) -> Contro
     Parameters
     ----------
     model
-        Continuous; its first input is the ground acceleration w, the others are the commands. Any order. What has
-        another unit is converted to SI units.
+        Continuous; its first input disturbs, as the ground acceleration w, the others are the commands (`with_roles`).
+        Any order, any names. What has another unit is converted to SI units.
     weights
         Weights, measured quantities and noise.
     sample_period
@@ -86,14 +86,14 @@ def design(model: LinearModel, weights: Weights, sample_period: float) -> Contro
     Raises
     ------
     AbraceError
-        If the model lacks ground acceleration, commands or weighed signals, a signal has a unit that cannot be
+        If the model lacks a disturbance, commands or weighed signals, a signal has a unit that cannot be
         converted, a Riccati equation has no accurate stabilising solution, or the closed loop is not stable.
     """
-    model = in_si_units(model, commands=True)
-    if model.sample_period or model.inputs[:1] != (signals.GROUND,) or len(model.inputs) < 2:
+    model = in_si_units(model, model.inputs[1:])
+    if model.sample_period or signals.GROUND in model.inputs[1:] or len(model.inputs) < 2:
         raise AbraceError(
             f"design: model with inputs {', '.join(model.inputs)} and sample period {model.sample_period} s, "
-            f"expected a continuous one with inputs {signals.GROUND} and commands"
+            f"expected a continuous one with inputs {signals.GROUND}, or another disturbance, and commands"
         )
     if not (sample_period > 0 and np.isfinite(sample_period)):
         raise AbraceError(f"design: sample_period {sample_period} s, expected more than zero")
@@ -104,7 +104,7 @@ def design(model: LinearModel, weights: Weights, sample_period: float) -> Contro
     plant = balanced(delayed(model, sample_period))
     b, e = plant.b[:, 1:], plant.b[:, :1]
     names, combined = weights.weighed(plant.outputs)
-    q, r = (np.diag(weights.diagonal(signals)) for signals in (names, commands))
+    q, r = np.diag(weights.diagonal(names)), np.diag(weights.of_commands(commands))
     gain = regulator(plant.a, b, combined @ plant.c, combined @ plant.d[:, 1:], q, r)
     measured = plant.select(weights.measured)
     d_y, f_y = measured.d[:, 1:], measured.d[:, :1]
@@ -116,6 +116,8 @@ def design(model: LinearModel, weights: Weights, sample_period: float) -> Contro
         np.zeros((len(commands), len(weights.measured))),
         tuple(weights.measured),
         commands,
+        units={name: unit for name, unit in plant.units.items() if name in weights.measured}
+        | {name: "N" for name in commands if signals.unit(name) == "-"},
     )
     controller = replace(
         tustin(continuous, sample_period),
@@ -134,7 +136,7 @@ def delayed(model: LinearModel, sample_period: float) -> LinearModel:
     `sample_period` [s] is the controller's.
     """
     if model.input_delay[0]:
-        raise AbraceError(f"design: input {signals.GROUND} with a delay of {model.input_delay[0]} s, expected none")
+        raise AbraceError(f"design: input {model.inputs[0]} with a delay of {model.input_delay[0]} s, expected none")
     later = tuple(1.5 * sample_period + delay for delay in model.input_delay[1:])
     return replace(model, input_delay=(0.0, *later)).delays_as_states()
 
@@ -153,7 +155,7 @@ def observer(
     Parameters
     ----------
     measured
-        The design model's measured quantities; its first input is the ground acceleration.
+        The design model's measured quantities; its first input is the disturbance.
     filter_gain
         (states, measured): L.
     sample_period

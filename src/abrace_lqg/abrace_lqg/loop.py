@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core import AbraceError
-from abrace_core.model.discretization import discretize
+from abrace_core.model.discretization import discretize, holds_of
 from abrace_core.model.linear_model import LinearModel, pole_table, takes_models
 from abrace_core.model.si_units import in_si_units
 
@@ -37,7 +37,7 @@ def sampled(model: LinearModel, sample_period: float) -> LinearModel:
     """
     model = in_si_units(model)
     if not model.sample_period:
-        return discretize(model, sample_period)
+        return discretize(model, sample_period, holds_of(model))
     if abs(model.sample_period - sample_period) > 1e-9 * sample_period:
         raise AbraceError(f"model sampled every {model.sample_period} s, expected every {sample_period} s")
     return model
@@ -45,7 +45,7 @@ def sampled(model: LinearModel, sample_period: float) -> LinearModel:
 
 @takes_models
 def closed_loop(model: LinearModel, controller: LinearModel) -> LinearModel:
-    """The discrete loop from the remaining inputs (the ground acceleration) to the outputs and the commands.
+    """The discrete loop from the remaining inputs (of a rig the ground acceleration) to the outputs and the commands.
 
     Parameters
     ----------

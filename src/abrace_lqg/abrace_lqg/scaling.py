@@ -18,7 +18,7 @@ from abrace_core.model.si_units import in_si_units
 from abrace_lqg.analysis.prediction import predicted_rms
 from abrace_lqg.design import design
 from abrace_lqg.loop import sampled
-from abrace_lqg.weights import Weights, signal_kind
+from abrace_lqg.weights import Weights, is_of_kind
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,15 +55,15 @@ def scaled_weights(
     force_limit
         (commands,) [N].
     excitation
-        Excitation of the ground, under which reduction and force are predicted.
+        The disturbance, under which reduction and force are predicted.
 
     Raises
     ------
     AbraceError
-        If a name is none of the model's, there is not one force limit for each command, the model has no displacements
+        If a name is none of the model's, there is not one force limit for each command, nothing is there
         to reduce, or no factor reaches the target.
     """
-    model = in_si_units(model, commands=True)
+    model = in_si_units(model, model.inputs[1:])
     commands = model.inputs[1:]
     if len(force_limit) != len(commands):
         expected = ", ".join(commands)
@@ -80,11 +80,12 @@ def scaled_weights(
     unit = {name: 1 / without[name] ** 2 for name in names if without[name] > 0}
     unit |= {name: 1 / limit**2 for name, limit in zip(commands, force_limit, strict=True)}
     relative = {name: value * weights.relative.get(name, 1.0) for name, value in unit.items()}
-    floors = [name for name in model.outputs if signal_kind(name) == "displacement"]
+    floors = [name for name in model.outputs if is_of_kind(name, "displacement")]
+    floors = floors or [name for name in model.outputs if weights.signals.get(name)]
     if weights.scale.reduction is not None and not floors:
         raise AbraceError(
             f"weights: scale.reduction: the model has no displacements, only {', '.join(model.outputs)}, "
-            "expected scale.force"
+            "expected scale.force, or weights by name in signals"
         )
 
     def with_factor(power: float) -> Weights:
@@ -92,7 +93,9 @@ def scaled_weights(
             name: value * (1.0 if name == "command" else 10.0**power)
             for name, value in weights.weights.model_dump().items()
         }
-        changed = {"weights": weights.weights.model_copy(update=kinds), "relative": relative, "scale": None}
+        own = {name: value * (1.0 if name in commands else 10.0**power) for name, value in weights.signals.items()}
+        scaled = weights.weights.model_copy(update=kinds)
+        changed = {"weights": scaled, "signals": own, "relative": relative, "scale": None}
         return weights.model_copy(update=changed)
 
     def reached(power: float) -> float:

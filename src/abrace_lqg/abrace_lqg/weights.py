@@ -4,12 +4,15 @@
 Eq. (11) weighs the recorded quantities and the commands, and sums of the former: the drift of each storey and the base
 shear. The Kalman filter needs the noise of the measured ones. All values are in SI units: the weights multiply squares
 of m, m/s^2 and N. With `scale` they are relative, and scaled to a rig from one number (`abrace_lqg.scaling`).
+
+Signals of any other names are weighed one by one (`signals`).
 """
 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 import pydantic
@@ -74,7 +77,8 @@ class Scale(Checked):
     Parameters
     ----------
     reduction
-        Reduction of the displacements' rms under the design's excitation, mean of the floors: 0.5 halves them.
+        Reduction of the displacements' rms under the design's excitation, mean of the floors: 0.5 halves them. Without
+        displacements that of the outputs in `signals`.
     force
         Share of the force limit that three times the rms of a command takes, of the command that needs most.
     """
@@ -97,12 +101,15 @@ class Weights(Checked):
     measured
         Names of the measured quantities y, in the order of the controller's inputs; "a*": all accelerations.
     weights
-        Weights by kind of signal.
+        Weights by kind of signal; without them, where there are `signals`, of the commands alone: 1.
+    signals
+        By name of an output or a command of the model: its own weight, in place of that of its kind. Outputs of other
+        names than a rig's have a weight only so. With a `scale` these are relative, too.
     relative
         By name of a signal: factor on the weight of its kind; 1 for signals that are not named.
     noise_to_excitation
-        Intensity of each measured quantity's noise (its unit squared) over that of the ground acceleration
-        ((m/s^2)^2), both white.
+        Intensity of each measured quantity's noise (its unit squared) over that of the disturbance, of a rig the ground
+        acceleration ((m/s^2)^2), both white.
     noise
         By name of a measured quantity: factor on that intensity; 1 for those that are not named.
     masses
@@ -116,6 +123,7 @@ class Weights(Checked):
 
     measured: Annotated[list[str], pydantic.Field(min_length=1)]
     weights: KindWeights
+    signals: dict[str, Weight] = {}
     relative: dict[str, Positive] = {}
     noise_to_excitation: Positive
     noise: dict[str, Positive] = {}
@@ -138,6 +146,13 @@ class Weights(Checked):
             except AbraceError as error:
                 raise ValueError(str(error)) from error
         return relative
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _by_name_alone(cls, given: Any) -> Any:
+        if isinstance(given, Mapping) and given.get("signals") and "weights" not in given:
+            return {**given, "weights": dict.fromkeys(KINDS, 0.0) | {"command": 1.0}}
+        return given
 
     @pydantic.model_validator(mode="after")
     def _with_masses(self) -> Weights:
@@ -162,12 +177,16 @@ class Weights(Checked):
         known = (*outputs, *commands, *self._combined(outputs)[0])
         for what, names, expected in (
             ("measured", measured, outputs),
+            ("signals", list(self.signals), (*outputs, *commands)),
             ("noise", list(self.noise), measured),
             ("relative", list(self.relative), known),
         ):
             unknown = [name for name in names if name not in expected]
             if unknown:
                 raise AbraceError(f"weights: {what}: {', '.join(unknown)}, expected some of {', '.join(expected)}")
+        free = [name for name in commands if self.signals.get(name) == 0]
+        if free:
+            raise AbraceError(f"weights: signals.{free[0]}: 0, expected more for a command")
         return self.model_copy(update={"measured": measured})
 
     def weighed(self, outputs: Sequence[str]) -> tuple[tuple[str, ...], NDArray[np.float64]]:
@@ -201,8 +220,23 @@ class Weights(Checked):
         return np.array([self.noise_to_excitation * self.noise.get(name, 1.0) for name in self.measured])
 
     def diagonal(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """(len(names),) the weight of each of these signals."""
-        return np.array([getattr(self.weights, signal_kind(name)) * self.relative.get(name, 1.0) for name in names])
+        """(len(names),) the weight of each of these outputs."""
+        return np.array([self._weight(name) * self.relative.get(name, 1.0) for name in names])
+
+    def of_commands(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """(len(names),) the weight of each of these commands, whatever their names."""
+        own = [self.signals.get(name, self.weights.command) for name in names]
+        return np.array([weight * self.relative.get(name, 1.0) for name, weight in zip(names, own, strict=True)])
+
+    def _weight(self, name: str) -> float:
+        if name in self.signals:
+            return self.signals[name]
+        if self.signals and not is_of_kind(name):
+            return 0.0
+        return float(getattr(self.weights, signal_kind(name)))
+
+    def __repr_args__(self) -> Any:
+        return [(key, value) for key, value in super().__repr_args__() if key != "signals" or value]
 
 
 def signal_kind(name: str) -> str:
@@ -214,7 +248,15 @@ def signal_kind(name: str) -> str:
     for kind, pattern in KINDS.items():
         if re.fullmatch(pattern, name):
             return kind
-    raise AbraceError(f"signal {name!r}: no weight for it, expected a name such as x1, xf, a1, f, d2, V or U")
+    raise AbraceError(
+        f"signal {name!r}: no weight for it, expected a name such as x1, xf, a1, f, d2, V or U, or weights by name in "
+        "signals"
+    )
+
+
+def is_of_kind(name: str, *kinds: str) -> bool:
+    """Whether the signal `name` is of one of these `kinds`, of `KINDS`; none given: of any."""
+    return any(re.fullmatch(KINDS[kind], name) for kind in kinds or KINDS)
 
 
 def load_weights(path: Path | str) -> Weights:

@@ -99,7 +99,7 @@ def _paper(table: InputTests, commands: Sequence[InputTests], floors: int, optio
         table.responses[0],
         [data.responses[0] for data in commands],
         floors,
-        options.command_order,
+        2 * options.modes,
         options.lambda_power,
         options.lambda_steps,
         options.servo_lag,

@@ -20,7 +20,7 @@ import numpy as np
 from abrace_core import AbraceError
 from abrace_core.model import signals
 from abrace_core.model.discretization import discretize
-from abrace_core.model.linear_model import takes_models
+from abrace_core.model.linear_model import name_and_unit_of, takes_models
 from abrace_core.model.response import PeakRms, peak_rms_of
 from abrace_core.model.si_units import in_si_units
 from abrace_core.model.simulation import simulate, simulate_closed_loop
@@ -192,7 +192,8 @@ def compare(
     if more:
         raise AbraceError(f"{test.source}: {1 + len(more)} tests, expected one")
     require_rig(test)
-    test, model = test.in_si_units(), in_si_units(model, commands=True)
+    forces = [name for name in model.inputs if name_and_unit_of(name)[0] != signals.GROUND]
+    test, model = test.in_si_units(), in_si_units(model, forces)
     controller = in_si_units(controller) if controller else None
     wanted, shared = (signals.GROUND, *test.commands), tuple(n for n in test.names if n in model.outputs)
     missing = [name for name in wanted if name not in model.inputs] or ([] if shared else test.names)

@@ -216,13 +216,14 @@ class Forecaster:
         known, law, refusal = is_path(task.model), None, ""
         file = task.model if task.model.endswith(MODEL_FILE) else f"{task.model}/reduced{MODEL_FILE}"
         try:
-            model = load_model(file) if known else rig.model
+            model = task.for_control(load_model(file) if known else rig.model)
             options = of_rig(task, rig.sample_rate, rig.capacity).of_model(model)
+            excitation = options.excitation(model)
             weights = load_weights(find_file(task.weights, "abrace_lqg", "config", ".yaml", "weights"))
-            weights = scaled_weights(model, weights, options.sample_period, options.force_limit, options.excitation)
+            weights = scaled_weights(model, weights, options.sample_period, options.force_limit, excitation)
             designed = design(model, weights, options.sample_period)
             law = designed.controller, designed.correction
-            require(prove(designed, {"the model": model}, options.excitation, options.limits), options.accept)
+            require(prove(designed, {"the model": model}, excitation, options.limits), options.accept)
         except AbraceError as error:
             refusal = str(error)
         return _Designed(law, known, refusal)

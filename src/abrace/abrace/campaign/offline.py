@@ -43,14 +43,19 @@ def wrong_offline(task: Task, tests: Mapping[str, RigTest], rig: Rig) -> Iterato
             yield from _wrong_bags("identify.command", task.command)
             yield from _wrong_identify(task, tests, rig)
         case Design():
-            yield from _wrong_model("design.model", task.model, ("reduced",))
+            wrong = list(_wrong_model("design.model", task.model, ("reduced",)))
+            yield from wrong
+            model = rig.model
             try:
-                of_rig(task, rig.sample_rate, rig.capacity).of_model(rig.model)
+                if task.model.endswith(MODEL_FILE) and not wrong:
+                    model = load_model(task.model)
+                model = task.for_control(model)
+                of_rig(task, rig.sample_rate, rig.capacity).of_model(model)
             except AbraceError as error:
                 yield f"design.{error}"
             try:
                 weights = load_weights(find_file(task.weights, "abrace_lqg", "config", ".yaml", "weights"))
-                weights.of(rig.model.outputs, rig.model.inputs[1:])
+                weights.of(model.outputs, model.inputs[1:])
             except AbraceError as error:
                 yield f"design.weights: {error}"
         case Ambient():

@@ -37,8 +37,9 @@ def design(
     Parameters
     ----------
     model
-        To design with. Of an identification, or the folder of its results, that is its reduced model; the controller
-        is then checked with the full one, too, and with models drawn from its covariance.
+        To design with, with inputs and outputs of any names. Of a rig's identification, or the folder of its results,
+        that is its reduced model; the controller is then checked with the full one, too, and with models drawn from its
+        covariance.
     weights
         Weights, their keys and values, their file, or the name of some: `lqg1` to `lqg5`, `half` (half the response, on
         any rig).
@@ -62,7 +63,7 @@ def design(
         checked = of_rig(checked, known.sample_rate, known.capacity)
     designed_with = model_of(model, design=True)
     models = {"model": designed_with}
-    if isinstance(model, Identified) or (isinstance(model, (str, Path)) and Path(model).is_dir()):
+    if isinstance(model, Identified) or (isinstance(model, (str, Path)) and (Path(model) / "reduced.json").is_file()):
         models = {"reduced": designed_with, "full": model_of(model)}
     covariance = covariance_of(model)
     covariances = {} if covariance is None else {list(models)[-1]: covariance}

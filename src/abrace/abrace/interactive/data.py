@@ -201,9 +201,12 @@ def identify_ambient(
         If there is a command, the tests are too short, or no band is given and no resonance found.
     """
     checked = AmbientOptions.of({"channels": channels, **options})
+    tests = checked.read(test)
     change, earlier = None, (before,) if hasattr(before, "keys") else several(before)
+    reference = checked.read(earlier) if earlier else ()
+    warn(warning for one in (*tests, *reference) for warning in one.warnings)
     if earlier:
-        found, _, change = compared_tests(checked.read(test), checked.read(earlier), checked)
+        found, _, change = compared_tests(tests, reference, checked)
     else:
-        found = ambient_test(checked.read(test), checked)
+        found = ambient_test(tests, checked)
     return IdentifiedModes(found, change)

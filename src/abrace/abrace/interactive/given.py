@@ -36,15 +36,11 @@ if TYPE_CHECKING:
     from abrace_core.model.run import Run
 
     class HasModels(Protocol):
-        """What has a model for prediction, and one for design: an identification."""
+        """What has a model for prediction: an identification. One of a rig also has a `reduced` one for design."""
 
         @property
         def model(self) -> LinearModel:
             """The model for prediction."""
-
-        @property
-        def reduced(self) -> LinearModel:
-            """The model for design."""
 
     AnyModel: TypeAlias = LinearModel | control.StateSpace | HasModels | Rig | Path | str
     """A model, an object that has one, a model file, the folder of an identification, or the name of a rig."""
@@ -98,8 +94,10 @@ def model_of(given: Any, design: bool = False) -> LinearModel:
         return rig.model
     if isinstance(given, (str, Path)):
         path = Path(given)
-        return load_model(path / ("reduced.json" if design else "model.json") if path.is_dir() else path)
-    found = getattr(given, "reduced" if design else "model", None)
+        reduced = path / "reduced.json"
+        folder = reduced if design and reduced.is_file() else path / "model.json"
+        return load_model(folder if path.is_dir() else path)
+    found = (getattr(given, "reduced", None) if design else None) or getattr(given, "model", None)
     if not isinstance(found, LinearModel):
         raise AbraceError(f"model {given!r}: expected a model, a file (.json), an identification or a rig")
     return found

@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from abrace.interactive.data import IdentifiedData
 from abrace.interactive.given import controller_of, model_of
 from abrace.interactive.identification import Identified
 from abrace_core import AbraceError
@@ -122,7 +123,7 @@ def covariance_of(given: AnyModel) -> NDArray[np.float64] | None:
 
 def distrust_of(given: AnyModel) -> list[str]:
     """Why no controller is to be designed with the model that was `given`; empty: nothing is known against it."""
-    if isinstance(given, Identified):
+    if isinstance(given, (Identified, IdentifiedData)):
         verdict, causes = given.validity.verdict, ", ".join(given.validity.causes)
         return [f"the identification says {verdict.words} ({causes})"] if verdict is Verdict.DONT else []
     return list(distrusted([str(path)])) if (path := _model_file(given)) else []

@@ -11,7 +11,6 @@ import numpy as np
 from abrace.interactive.given import several
 from abrace_core import AbraceError
 from abrace_core.figures.chart import Chart, Panel, beside, gains, time_histories, with_unit
-from abrace_core.model import signals
 from abrace_core.model.linear_model import LinearModel, pole_table
 from abrace_core.model.plotted import draws
 from abrace_core.model.run import Run
@@ -28,11 +27,9 @@ if TYPE_CHECKING:
 
 @draws(Run)
 def _of_run(run: Run, channels: Sequence[str] = ()) -> Figure:
-    names = several(channels) or (*run.names, *run.command_names, signals.GROUND)
+    names = several(channels) or (*run.names, *run.command_names, run.disturbance)
     columns = zip(names, run.channels(names).T, strict=True)
-    return time_histories(
-        run.time, {name: (column, signals.unit(name)) for name, column in columns}, run.source
-    ).figure()
+    return time_histories(run.time, {name: (column, run.unit(name)) for name, column in columns}, run.source).figure()
 
 
 @draws(Record)
@@ -96,7 +93,7 @@ def _compare(model: LinearModel, test: AnyTest, channels: Sequence[str]) -> Figu
 
 def _units(model: LinearModel) -> dict[str, str]:
     """The units of all signals of a `model` that states some; empty: it is in SI units."""
-    known = {name: model.units.get(name, signals.unit(name)) for name in (*model.inputs, *model.outputs)}
+    known = {name: model.unit(name) for name in (*model.inputs, *model.outputs)}
     return {name: unit for name, unit in known.items() if unit != "-"} if model.units else {}
 
 

@@ -12,9 +12,11 @@ from abrace.interactive.given import controller_of, law_of, model_of, rig_or_non
 from abrace_core import AbraceError
 from abrace_core.model import signals
 from abrace_core.model.controller_file import Controller
-from abrace_core.model.discretization import discretize
+from abrace_core.model.discretization import discretize, holds_of
+from abrace_core.model.linear_model import name_and_unit_of
 from abrace_core.model.noise import banded_noise
 from abrace_core.model.own_law import GuardedLaw
+from abrace_core.model.roles import with_roles
 from abrace_core.model.run import Run
 from abrace_core.model.si_units import in_si_units
 from abrace_core.model.simulation import simulate as simulate_model
@@ -32,7 +34,7 @@ from abrace_plant.records.table_motion import RECORD_REMEDIES, check_motion
 from abrace_plant.records.treatment import prepare
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -66,7 +68,7 @@ def simulate(
 
     A rig is simulated as the node `plant` does it in lockstep: limits, interlocks, sensors and their noise, friction
     where it has some. A model is linear and without noise; its commands are limited to the controller's. What it
-    has in other units is converted to SI units.
+    has in other units is converted to SI units. Its inputs and outputs may have any names.
 
     Parameters
     ----------
@@ -74,13 +76,14 @@ def simulate(
         A rig (its name, its file), or a model (its file, an identification, a StateSpace of python-control).
     record
         The motion of the table: a known name, a file, a Record, a Run whose table is played again, (samples,) [m/s^2]
-        at the sample rate, "white_noise" (0.1 to 10 Hz, 0.25 m/s^2); None: at rest.
+        at the sample rate, "white_noise" (0.1 to 10 Hz, 0.25 m/s^2); None: at rest. Of a model of other names:
+        (samples,) of what disturbs, in its SI unit; if it is an acceleration also as above.
     controller
         A controller, its file, a design, a discrete StateSpace of python-control from measured quantities to commands
         (its forces limited to the capacity); of a rig also a law of one's own (`abrace_core.model.own_law`), or a
         function from its `LawSample` to forces [N].
     command
-        Instead of a controller: (samples,) or (samples, groups) [N] of one brace, or "white_noise" (to 30 Hz,
+        Instead of a controller: (samples,) or (samples, commands) [N] of one brace, or "white_noise" (to 30 Hz,
         7 % of the capacity, which a model has from its tests); None: zero.
     **options
         As `SimulateOptions` has them.
@@ -89,7 +92,8 @@ def simulate(
     -------
     Run
         As from a bag. A rig that was stopped by a fault (`run.stopped`) is a Python warning with the cause, a clipped
-        sensor one with its samples. Channels that a model does not have are NaN, with a Python warning.
+        sensor one with its samples. Channels that a model of a rig does not have are NaN, with a Python warning; a
+        model of other names, or of measured data, has its own.
 
     Raises
     ------
@@ -105,11 +109,18 @@ def simulate(
     if rig is not None:
         fixed = 1 / rig.sample_rate
     else:
-        model = in_si_units(model_of(structure), commands=True)
+        model = model_of(structure)
         fixed = model.sample_period
     capacity = rig.capacity if rig is not None else np.array(model.provenance.get("force_limit", []))
+    if rig is None:
+        acting = () if controller is None or law else controller_of(controller, capacity).law.outputs
+        model = _with_roles(model, acting, checked.disturbance, record is None)
+    elif checked.disturbance:
+        raise AbraceError(f"simulate: disturbance {checked.disturbance!r} of a rig, which is moved by its table")
     period = _period(fixed, checked.sample_period) or _sample_period(model, None if law else controller, capacity)
     ground, name = _ground(record, 1 / period, checked)
+    if rig is None and ground is not None:
+        _require_acceleration(record, model)
     groups = rig.groups if rig is not None else len(model.inputs) - 1
     forces = _commands(command, 1 / period, checked.duration, groups, checked.seed, COMMAND_SHARE * capacity)
     if ground is None and forces is None:
@@ -256,6 +267,32 @@ def _answer(rig: Rig, given: Controller | Law) -> tuple[Callable[[int, list[floa
     return force, given.name if isinstance(given, Controller) else type(given).__name__
 
 
+def _is_of_rig(model: LinearModel) -> bool:
+    """Whether all signals of a `model` have the names of a rig's, and it was not identified from columns of data."""
+    inputs, outputs = ({name_and_unit_of(name)[0] for name in names} for names in (model.inputs, model.outputs))
+    known = {signals.GROUND, *signals.command_names(len(inputs) - 1)} if inputs else {""}
+    return inputs == known and all(signals.is_recorded(name) for name in outputs) and "data" not in model.provenance
+
+
+def _with_roles(model: LinearModel, commands: Sequence[str], disturbance: str, at_rest: bool) -> LinearModel:
+    """The model in SI units from the disturbance and the commands; at rest any input may be the first."""
+    if _is_of_rig(model) and not disturbance:
+        groups = signals.command_names(len(model.inputs) - 1)
+        model = with_roles(model, groups)
+    else:
+        nothing = model.inputs[0] if at_rest and not commands and signals.GROUND not in model.inputs else ""
+        model = with_roles(model, commands or (model.inputs if nothing else ()), disturbance or nothing)
+    return in_si_units(model, model.inputs[1:])
+
+
+def _require_acceleration(record: Any, model: LinearModel) -> None:
+    """Refuse that a motion of the ground drives an input that is known to be something else."""
+    name = model.inputs[0]
+    unit = model.unit(name)
+    if isinstance(record, (Record, Run, str, Path)) and unit not in ("-", signals.unit(signals.GROUND)):
+        raise AbraceError(f"simulate: record of an acceleration for {name} [{unit}], expected (samples,) in {unit}")
+
+
 def _of_model(
     model: LinearModel,
     ground: NDArray[np.float64],
@@ -265,23 +302,26 @@ def _of_model(
     name: str,
 ) -> Run:
     groups = len(model.inputs) - 1
-    floors = max((int(each[1:]) for each in model.outputs if each[0] in "xa" and each[1:].isdigit()), default=0)
-    names = signals.response_names(floors, groups)
-    has = [each for each in names if each in model.outputs]
-    if not has:
-        raise AbraceError(f"simulate: a model with outputs {', '.join(model.outputs)}, expected some of a rig, as x1")
-    wanted = model.select(has, (signals.GROUND, *signals.command_names(groups)))
-    sampled = wanted if wanted.sample_period else discretize(wanted, period)
+    sampled = model if model.sample_period else discretize(model, period, holds_of(model))
     if given is None:
         outputs = simulate_model(sampled, np.column_stack([ground, forces]))
         command = np.vstack([np.zeros((1, groups)), forces[:-1]])
     else:
         outputs, command = simulate_closed_loop(sampled, given.law, ground, given.force_limit, given.correction)
     sequence = np.arange(len(ground), dtype=np.uint64)
+    source = f"model/{name}"
     facts: dict[str, Any] = {"sample_period": repr(period), "rig": str(model.provenance.get("rig", ""))}
+    if not _is_of_rig(model):
+        named = (*model.outputs, *model.inputs)
+        return Run(
+            source, period, sequence, 0, groups, outputs, ground, command, facts, signals=named, units=model.units
+        )
+    floors = max((int(each[1:]) for each in model.outputs if each[0] in "xa" and each[1:].isdigit()), default=0)
+    names = signals.response_names(floors, groups)
+    has = [each for each in names if each in model.outputs]
     if len(has) < len(names):
         lacking = ", ".join(each for each in names if each not in has)
         facts["warnings"] = [f"the model has no {lacking}: not a number (NaN) in the run"]
     every = np.full((len(ground), len(names)), np.nan)
-    every[:, [names.index(each) for each in has]] = outputs
-    return Run(f"model/{name}", period, sequence, floors, groups, every, ground, command, facts)
+    every[:, [names.index(each) for each in has]] = outputs[:, [model.outputs.index(each) for each in has]]
+    return Run(source, period, sequence, floors, groups, every, ground, command, facts)

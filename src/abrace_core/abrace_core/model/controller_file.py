@@ -50,6 +50,8 @@ class ControllerParameters(Checked):
         Eq. (13).
     g_d, p_d
         `Controller.correction` and `Controller.prediction`.
+    units
+        SI units, as NAME=UNIT, of measured quantities and commands that are no rig's.
     """
 
     name: str
@@ -67,6 +69,7 @@ class ControllerParameters(Checked):
     d_d: list[float]
     g_d: list[float]
     p_d: list[float]
+    units: list[str] = []
 
 
 class _Node(Checked):
@@ -189,6 +192,9 @@ def save_controller(controller: Controller, path: Path | str, proof: Sequence[st
         f"    states: {law.order}",
         f"    force_limit: [{_row(controller.force_limit)}]",
     ]
+    if law.units:
+        units = (f"{name}={unit}" for name, unit in law.units.items())
+        lines.append(f"    units: [{', '.join(map(_quoted, units))}]")
     eq_13 = (("a_d", law.a), ("b_d", law.b), ("c_d", law.c), ("d_d", law.d))
     for key, matrix in (*eq_13, ("g_d", controller.correction), ("p_d", controller.prediction)):
         rows = ",\n      ".join(_row(row) for row in matrix)
@@ -259,6 +265,7 @@ def _controller(parameters: ControllerParameters, source: str) -> Controller:
             inputs=tuple(parameters.measured),
             outputs=tuple(parameters.commands),
             sample_period=parameters.sample_period,
+            units=dict(_name_and_unit(text) for text in parameters.units),
         )
         return Controller(
             parameters.name,
@@ -272,6 +279,13 @@ def _controller(parameters: ControllerParameters, source: str) -> Controller:
         )
     except AbraceError as error:
         raise AbraceError(f"{source}: {error}") from error
+
+
+def _name_and_unit(text: str) -> tuple[str, str]:
+    name, _, unit = text.rpartition("=")
+    if not (name and unit):
+        raise AbraceError(f"units: {text!r}, expected NAME=UNIT")
+    return name, unit
 
 
 def _row(values: NDArray[np.float64]) -> str:

@@ -31,6 +31,16 @@ HOLDS: Mapping[str, Hold] = {signals.GROUND: "first"}
 
 
 @takes_models
+def holds_of(model: LinearModel) -> dict[str, Hold]:
+    """`HOLDS` of the inputs of a `model` that have no delay, which a first-order hold cannot take."""
+    return {
+        name: HOLDS[name]
+        for name, delay in zip(model.inputs, model.input_delay, strict=True)
+        if name in HOLDS and not delay
+    }
+
+
+@takes_models
 def discretize(model: LinearModel, sample_period: float, holds: Mapping[str, Hold] = HOLDS) -> LinearModel:
     """The exact discrete equivalent of a continuous model, input delays included.
 

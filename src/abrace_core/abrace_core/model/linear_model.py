@@ -151,6 +151,10 @@ class LinearModel(Value):
             poles[moving] = np.log(z[moving]) / self.sample_period
         return poles[np.argsort(np.abs(poles), kind="stable")]
 
+    def unit(self, name: str) -> str:
+        """Unit of the input or output `name`: the stated one, or of a rig's signal SI units; "-": it is not known."""
+        return self.units.get(name) or signals.unit(name)
+
     def is_stable(self) -> bool:
         """Whether every pole lies strictly inside the stability region."""
         return bool(np.all(self.poles.real < 0))

@@ -14,7 +14,7 @@ from abrace_core.model.plotted import figure_of
 from abrace_core.model.tabular import Tabular
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     import pandas
     from matplotlib.figure import Figure
@@ -56,7 +56,7 @@ class Run(Tabular):
     outputs
         (samples, channels): the recorded quantities z, named by `names`; a group's force is the mean of its braces'.
     ground_acceleration
-        (samples,) [m/s^2].
+        (samples,) [m/s^2]; of a structure that is no rig the `disturbance`.
     command
         (samples, groups) [N], in force until each sample.
     facts
@@ -68,6 +68,11 @@ class Run(Tabular):
         (groups,) number of braces, each with a load cell; by default one in each group.
     forces
         (samples, braces) [N], of each brace, those of the first group first; None where only `outputs` has forces.
+    signals
+        Of a structure that is no rig, which has no floors: names of the outputs, of the disturbance and of the
+        commands, in this order; none: those of a rig.
+    units
+        Of these, by name.
     """
 
     source: str
@@ -82,9 +87,13 @@ class Run(Tabular):
     clipped: NDArray[np.uint64] | None = None
     braces: tuple[int, ...] = ()
     forces: NDArray[np.float64] | None = None
+    signals: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         rig = f"{self.floors} floors, {self.groups} brace group{'' if self.groups == 1 else 's'}"
+        if self.signals:
+            rig = f"{', '.join((self.disturbance, *self.command_names))} to {', '.join(self.names)}"
         rate, samples = 1 / self.sample_period, len(self.sequence)
         clipped = [f"{name} {count} samples" for name, count in (self.clipped_samples or {}).items() if count]
         wrong = [f"STOPPED: {self.stopped}"] * bool(self.stopped) + [f"CLIPPED: {', '.join(clipped)}"] * bool(clipped)
@@ -130,12 +139,19 @@ class Run(Tabular):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the channels of `outputs`."""
+        if self.signals:
+            return self.signals[: self.outputs.shape[1]]
         return signals.response_names(self.floors, self.groups)
 
     @property
     def command_names(self) -> tuple[str, ...]:
         """Names of the commands."""
-        return signals.command_names(self.groups)
+        return self.signals[self.outputs.shape[1] + 1 :] if self.signals else signals.command_names(self.groups)
+
+    @property
+    def disturbance(self) -> str:
+        """Name of what disturbs: of a rig `w`."""
+        return self.signals[self.outputs.shape[1]] if self.signals else signals.GROUND
 
     @property
     def command_from_here(self) -> NDArray[np.float64]:
@@ -160,14 +176,14 @@ class Run(Tabular):
         return self is other or all(np.array_equal(getattr(self, one), getattr(other, one)) for one in series)
 
     def channels(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """(samples, len(names)) of these outputs, commands or the ground acceleration; `names` in either form.
+        """(samples, len(names)) of these outputs, commands or the disturbance; `names` in either form.
 
         Raises
         ------
         AbraceError
             With all names that are not among them (`signals.positions`).
         """
-        known = (*self.names, *self.command_names, signals.GROUND)
+        known = (*self.names, *self.command_names, self.disturbance)
         chosen = signals.positions(names, known, f"{self.source}: no channel")
         return np.hstack([self.outputs, self.command, self.ground_acceleration[:, None]])[:, chosen]
 
@@ -175,12 +191,16 @@ class Run(Tabular):
         """All channels as columns [SI units, in `attrs`], by the time since the rig's sample 0 [s] (`time`)."""
         import pandas
 
-        names = (*self.names, *self.command_names, signals.GROUND)
+        names = (*self.names, *self.command_names, self.disturbance)
         frame = pandas.DataFrame(
             dict(zip(names, self.channels(names).T, strict=True)), index=pandas.Index(self.time, name="time [s]")
         )
-        frame.attrs["units"] = {name: signals.unit(name) for name in names}
+        frame.attrs["units"] = {name: self.unit(name) for name in names}
         return frame
+
+    def unit(self, name: str) -> str:
+        """SI unit of the channel `name`; "-": it is not known."""
+        return self.units.get(name) or signals.unit(name)
 
     def plot(self, channels: Sequence[str] = ()) -> Figure:
         """Time histories, an axis for each kind of quantity.

@@ -8,6 +8,7 @@ unit that is not known; no computation needs it in SI units.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from abrace_core import AbraceError
 from abrace_core.files.units import UNITS, si_unit, unit_as_stated, unit_of
 from abrace_core.model import signals
 from abrace_core.model.linear_model import LinearModel, name_and_unit_of, takes_models
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
 
 
 def si_factor(name: str, unit: str, where: str, expected: str = "") -> tuple[float, str]:
@@ -54,7 +58,7 @@ def si_factor(name: str, unit: str, where: str, expected: str = "") -> tuple[flo
 
 
 @takes_models
-def in_si_units(model: LinearModel, commands: bool = False) -> LinearModel:
+def in_si_units(model: LinearModel, forces: Collection[str] = ()) -> LinearModel:
     """The same `model` with its signals in SI units, their names without units; itself where it is in SI units.
 
     Its `units` are then those of signals that are no rig's.
@@ -63,8 +67,8 @@ def in_si_units(model: LinearModel, commands: bool = False) -> LinearModel:
     ----------
     model
         With `units`, or with units in names, as `a1 [g]`.
-    commands
-        Whether all inputs but the ground acceleration are forces, whatever their names.
+    forces
+        Inputs that are forces whatever their names, as the commands of a controller; a rig's are known by their names.
 
     Raises
     ------
@@ -73,8 +77,8 @@ def in_si_units(model: LinearModel, commands: bool = False) -> LinearModel:
     """
     names, factors, kept = {}, {}, {}
     for kind, known in (("input", model.inputs), ("output", model.outputs)):
-        expected = "N" if commands and kind == "input" else ""
         for written in known:
+            expected = "N" if kind == "input" and written in forces else ""
             name, unit = name_and_unit_of(written)
             unit = model.units.get(written, unit)
             factor, si = si_factor(name, unit, f"model {kind}", expected)

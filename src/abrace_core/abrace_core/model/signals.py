@@ -35,6 +35,7 @@ MOST_SHOWN = 24
 _LETTERS = {"displacement": "x", "stroke": "xf", "acceleration": "a", "command": "U"}
 _IN_MESSAGES = re.compile(rf"({'|'.join(_LETTERS)})(?:\[(\d+)\]|_(\d+))")
 _IN_PAPER = re.compile(r"(xf|x|a|U)(\d*)")
+_RECORDED = re.compile(r"x[1-9]\d*|a[1-9]\d*|xf\d*|f\d*")
 _OF_RIG = re.compile(r"(xf?|a|U)\d*|f\d*[a-z]?|w")
 
 
@@ -153,6 +154,15 @@ def unit(name: str) -> str:
     """
     units = {"x": "m", "a": "m/s^2", "w": "m/s^2", "f": "N", "U": "N"}
     return units[name[0]] if _OF_RIG.fullmatch(name) else "-"
+
+
+def is_recorded(name: str) -> bool:
+    """Whether `name` is one of a rig's recorded quantities (`response_names`).
+
+    >>> [is_recorded(name) for name in ("x3", "xf", "a1", "f2", "U", "fa", "top")]
+    [True, True, True, True, False, False, False]
+    """
+    return _RECORDED.fullmatch(name) is not None
 
 
 def read_as(name: str, ratio: float) -> str:

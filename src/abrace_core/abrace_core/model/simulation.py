@@ -49,7 +49,7 @@ def simulate(model: LinearModel, inputs: NDArray[np.float64]) -> NDArray[np.floa
 def simulate_closed_loop(
     model: LinearModel,
     controller: LinearModel,
-    ground_acceleration: NDArray[np.float64],
+    disturbance: NDArray[np.float64],
     capacity: NDArray[np.float64],
     correction: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -60,11 +60,12 @@ def simulate_closed_loop(
     Parameters
     ----------
     model
-        Discrete model; its first input is the ground acceleration, the others are the controller's outputs.
+        Discrete model; its first input disturbs (the ground acceleration of a rig), the others are the controller's
+        outputs.
     controller
         Discrete model from some of the outputs to the commands, at the same sample period.
-    ground_acceleration
-        (samples,) [m/s^2], finite.
+    disturbance
+        (samples,) of the model's first input [SI units], finite.
     capacity
         (commands,) [N]; commands are limited to +-capacity.
     correction
@@ -82,11 +83,11 @@ def simulate_closed_loop(
     AbraceError
         If model, controller, motion and capacity do not fit each other.
     """
-    ground = np.asarray(ground_acceleration, dtype=np.float64)
-    if ground.ndim != 1:
-        raise AbraceError(f"closed loop: ground acceleration of shape {ground.shape}, expected (samples,)")
-    check_finite("closed loop: ground acceleration", ground)
+    driving = np.asarray(disturbance, dtype=np.float64)
+    if driving.ndim != 1:
+        raise AbraceError(f"closed loop: {model.inputs[0]} of shape {driving.shape}, expected (samples,)")
+    check_finite(f"closed loop: {model.inputs[0]}", driving)
     series = connect(model, controller, capacity, correction)
     limit = np.array(capacity, dtype=np.float64)
-    outputs, in_force = histories(series, ground[:, None], limit)
-    return outputs, np.vstack([np.zeros((1, len(limit))), in_force[:-1]])[: len(ground)]
+    outputs, in_force = histories(series, driving[:, None], limit)
+    return outputs, np.vstack([np.zeros((1, len(limit))), in_force[:-1]])[: len(driving)]

@@ -46,7 +46,7 @@ def connect(
     capacity: NDArray[np.float64] | None = None,
     correction: NDArray[np.float64] | None = None,
 ) -> LinearModel:
-    """Model and controller in series: from ground acceleration and commands in force to outputs and next commands.
+    """Model and controller in series: from the disturbance and commands in force to outputs and next commands.
 
     The next commands are those before they are limited. The controller's state is p(k) = q(k) - G U(k-1), with its own
     state q(k) and the `correction` G: U(k-1), once limited, is the command in force at sample k, an input here.
@@ -61,7 +61,8 @@ def connect(
     AbraceError
         If they do not fit each other, or as in `si_units.in_si_units`.
     """
-    model, controller = in_si_units(model, commands=capacity is not None), in_si_units(controller)
+    model = in_si_units(model, () if capacity is None else model.inputs[1:])
+    controller = in_si_units(controller)
     if model.inputs[1:] != controller.outputs or abs(model.sample_period - controller.sample_period) > 1e-12:
         raise AbraceError(
             f"closed loop: the controller gives {', '.join(controller.outputs)} every {controller.sample_period} s, "

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predicted rms of responses and commands under random ground motion.
+"""Predicted rms of responses and commands under a random disturbance, of a rig the ground motion.
 
-The ground acceleration is noise with a flat spectrum in a band; the response's power is the integral of |H|^2 over that
-band, with H the transfer function of the sampled loop, for which the ground acceleration is linear between samples. The
+It is noise with a flat spectrum in a band; the response's power is the integral of |H|^2 over that
+band, with H the transfer function of the sampled loop, for which a ground acceleration is linear between samples. The
 prediction is linear: commands do not saturate.
 """
 
@@ -25,14 +25,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Excitation:
-    """Ground acceleration: white noise within a band.
+    """Disturbance: white noise within a band.
 
     Parameters
     ----------
     rms
-        [m/s^2].
+        [unit].
     band
         Lowest and highest frequency [Hz].
+    input
+        Name of the input that disturbs, by default the ground acceleration.
+    unit
+        SI unit of it.
 
     Raises
     ------
@@ -42,16 +46,20 @@ class Excitation:
 
     rms: float = 0.25
     band: tuple[float, float] = (0.3, 10.0)
+    input: str = signals.GROUND
+    unit: str = signals.unit(signals.GROUND)
 
     def __post_init__(self) -> None:
         low, high = self.band
         if not (0 < self.rms < np.inf and 0 <= low < high < np.inf):
             raise AbraceError(
-                f"excitation of {self.rms} m/s^2 from {low} to {high} Hz: expected more than 0, and a band that rises"
+                f"excitation of {self.rms} {self.unit} from {low} to {high} Hz: expected more than 0, and a band that "
+                "rises"
             )
 
     def __str__(self) -> str:
-        return f"ground acceleration of {self.rms:g} m/s^2 rms, flat from {self.band[0]:g} to {self.band[1]:g} Hz"
+        what = "ground acceleration" if self.input == signals.GROUND else self.input
+        return f"{what} of {self.rms:g} {self.unit} rms, flat from {self.band[0]:g} to {self.band[1]:g} Hz"
 
 
 @takes_models
@@ -61,11 +69,11 @@ def predicted_rms(model: LinearModel, controller: LinearModel | None, excitation
     Parameters
     ----------
     model
-        From ground acceleration and commands; continuous, or discrete at the controller's sample period.
+        From disturbance and commands; continuous, or discrete at the controller's sample period.
     controller
         Eq. (13); None: zero command, with a discrete model.
     excitation
-        Excitation of the ground.
+        The disturbance.
 
     Raises
     ------
@@ -73,12 +81,12 @@ def predicted_rms(model: LinearModel, controller: LinearModel | None, excitation
         If the loop has other inputs, is not stable, or is sampled too slowly for the band.
     """
     model = in_si_units(model)
-    loop = model.select(inputs=[signals.GROUND]) if controller is None else closed_loop(model, controller)
+    loop = model.select(inputs=[excitation.input]) if controller is None else closed_loop(model, controller)
     poles = eigenvalues(loop.a)
-    if loop.inputs != (signals.GROUND,) or not loop.sample_period or np.abs(poles).max(initial=0.0) >= 1:
+    if loop.inputs != (excitation.input,) or not loop.sample_period or np.abs(poles).max(initial=0.0) >= 1:
         raise AbraceError(
             f"prediction: model with inputs {', '.join(loop.inputs)} and sample period {loop.sample_period} s, "
-            f"expected a stable discrete one with input {signals.GROUND}"
+            f"expected a stable discrete one with input {excitation.input}"
         )
     low, high = (2 * np.pi * frequency for frequency in excitation.band)
     highest = np.pi / loop.sample_period
@@ -94,7 +102,7 @@ def predicted_rms(model: LinearModel, controller: LinearModel | None, excitation
     if not np.isfinite(rms).all():
         raise AbraceError(f"prediction: rms of {loop.outputs[np.argmin(np.isfinite(rms))]} is not finite")
     found = dict(zip(loop.outputs, rms.tolist(), strict=True))
-    return {name: 0.0 for name in model.inputs if name != signals.GROUND} | found
+    return {name: 0.0 for name in model.inputs if name != excitation.input} | found
 
 
 @takes_models

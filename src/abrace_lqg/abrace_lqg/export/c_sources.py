@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 from abrace_core import AbraceError
 from abrace_core.files.writing import write_text
-from abrace_core.model.signals import unit
 from abrace_core.safety.command_guard import CommandGuard
 from abrace_core.safety.rig_safety import RAMP_TIME
 
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_core.model.controller_file import Controller
+    from abrace_core.model.linear_model import LinearModel
 
 FIXED = ("controller.h", "controller.c")
 """Sources that do not depend on the controller."""
@@ -80,8 +80,8 @@ def c_sources(controller: Controller, rate_limit: float, ramp_time: float) -> di
     texts = {key: _comment(getattr(controller, key)) for key in ("name", "model", "weights", "margins")}
     header = CONSTANTS.format(
         **texts,
-        measured=_listed("measured", law.inputs),
-        commands=_listed("force", law.outputs),
+        measured=_listed("measured", law, law.inputs),
+        commands=_listed("force", law, law.outputs),
         states=law.order,
         inputs=len(law.inputs),
         outputs=len(law.outputs),
@@ -126,8 +126,9 @@ def _comment(text: str) -> str:
     return " ".join(text.split()).replace("*/", "* /").replace("/*", "/ *") or "-"
 
 
-def _listed(array: str, names: tuple[str, ...]) -> str:
-    return "\n".join(f" *   {array}[{i}]  {_comment(name)} [{unit(name)}]" for i, name in enumerate(names))
+def _listed(array: str, law: LinearModel, names: tuple[str, ...]) -> str:
+    units = [_comment(law.unit(name)) for name in names]
+    return "\n".join(f" *   {array}[{i}]  {_comment(name)} [{units[i]}]" for i, name in enumerate(names))
 
 
 def _matrix(values: NDArray) -> str:

@@ -20,7 +20,6 @@ from xml.sax.saxutils import quoteattr
 
 from abrace_core import AbraceError
 from abrace_core.files.writing import write_atomically
-from abrace_core.model.signals import unit
 from abrace_lqg.export.c_sources import c_sources, source
 
 if TYPE_CHECKING:
@@ -78,9 +77,10 @@ def _description(controller: Controller, identifier: str, sources: dict[str, str
     law = controller.law
     guid = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:32]
     names = (*law.inputs, *law.outputs)
-    units = sorted({unit(name) for name in names})
-    variables = [_real(name, i, "input") for i, name in enumerate(law.inputs)]
-    variables += [_real(name, len(law.inputs) + i, "output") for i, name in enumerate(law.outputs)]
+    by_name = {name: law.unit(name) for name in names}
+    units = sorted(set(by_name.values()))
+    variables = [_real(name, by_name[name], i, "input") for i, name in enumerate(law.inputs)]
+    variables += [_real(name, by_name[name], len(law.inputs) + i, "output") for i, name in enumerate(law.outputs)]
     outputs = range(len(law.inputs) + 1, len(names) + 2)
     known = "".join(f'<Unknown index="{index}"/>' for index in outputs)
     factors = {"m": 'm="1"', "m/s^2": 'm="1" s="-2"', "N": 'kg="1" m="1" s="-2"', "-": ""}
@@ -92,7 +92,12 @@ def _description(controller: Controller, identifier: str, sources: dict[str, str
         "<SourceFiles>" + "".join(f'<File name="{name}"/>' for name in compiled) + "</SourceFiles>",
         "</CoSimulation>",
         "<UnitDefinitions>",
-        *(f'<Unit name="{name}"><BaseUnit {factors[name]}/></Unit>' for name in units),
+        *(
+            f"<Unit name={quoteattr(name)}><BaseUnit {factors[name]}/></Unit>"
+            if name in factors
+            else f"<Unit name={quoteattr(name)}/>"
+            for name in units
+        ),
         "</UnitDefinitions>",
         f'<DefaultExperiment startTime="0" stepSize="{law.sample_period!r}"/>',
         "<ModelVariables>",
@@ -106,9 +111,9 @@ def _description(controller: Controller, identifier: str, sources: dict[str, str
     return "\n".join(lines) + "\n"
 
 
-def _real(name: str, number: int, causality: str) -> str:
+def _real(name: str, unit: str, number: int, causality: str) -> str:
     start = ' start="0"' if causality == "input" else ""
     return (
         f'<ScalarVariable name={quoteattr(name)} valueReference="{number}" causality="{causality}" '
-        f'variability="discrete"><Real unit="{unit(name)}"{start}/></ScalarVariable>'
+        f'variability="discrete"><Real unit={quoteattr(unit)}{start}/></ScalarVariable>'
     )

@@ -62,6 +62,13 @@ PARAMETERS = [
         source=FILE,
     ),
     Parameter(
+        "units",
+        [],
+        "NAME=UNIT of measured quantities and commands that are no rig's, SI units",
+        element=str,
+        source=FILE,
+    ),
+    Parameter(
         "ramp_time", 0.5, "s, duration of the force's fade-in, and of a change to the next controller", minimum=0.0
     ),
     Parameter(

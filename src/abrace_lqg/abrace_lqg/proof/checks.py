@@ -124,6 +124,8 @@ class Proof:
         Names of the objections that were accepted.
     distrusted
         For each model that its identification says not to trust, in which file and why.
+    units
+        SI units of signals that are no rig's, by name, as far as they are known.
     """
 
     models: tuple[ModelProof, ...]
@@ -132,6 +134,7 @@ class Proof:
     limits: Limits = field(default_factory=Limits)
     accepted: tuple[Objection, ...] = ()
     distrusted: tuple[str, ...] = ()
+    units: dict[str, str] = field(default_factory=dict)
 
     @property
     def margins(self) -> Margins:
@@ -268,7 +271,8 @@ def prove(
             raise AbraceError(f"proof with model {name}: {error}") from error
     if not proofs[0].stable:
         raise AbraceError(f"proof: the closed loop with {proofs[0].name}, the design's own model, is not stable")
-    return Proof(tuple(proofs), designed.controller.outputs, excitation, limits or Limits())
+    units = {**design_model.units, **designed.controller.units}
+    return Proof(tuple(proofs), designed.controller.outputs, excitation, limits or Limits(), units=units)
 
 
 def require(proof: Proof, accept: Collection[str] = ()) -> Proof:

@@ -147,7 +147,8 @@ def _model(one: ModelProof, proof: Proof) -> Iterator[str]:
         yield "  quantity      zero command    controlled   change"
         for name, (without, controlled) in one.prediction.items():
             change = f"{controlled / without - 1:+8.0%}" if without else "        "
-            yield f"  {name + ' [' + unit(name) + ']':<12}{without:14.4g}{controlled:14.4g} {change}".rstrip()
+            quantity = f"{name} [{proof.units.get(name, unit(name))}]"
+            yield f"  {quantity:<12}{without:14.4g}{controlled:14.4g} {change}".rstrip()
 
 
 def _ensemble(drawn: EnsembleProof) -> Iterator[str]:

@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
 from pydantic import Field
 
 from abrace_core import AbraceError
-from abrace_core.files.options import NOT_GIVEN, Band, Count, NonNegative, Options
+from abrace_core.files.options import NOT_GIVEN, Band, Count, Names, NonNegative, Options
+from abrace_core.model import signals
 from abrace_core.model.linear_model import LinearModel, pole_table, takes_models
+from abrace_core.model.roles import with_roles
+from abrace_core.model.si_units import in_si_units
 from abrace_lqg.analysis.prediction import Excitation
 
 if TYPE_CHECKING:
@@ -76,8 +80,18 @@ class DesignOptions(Limits):
         default=DRAWS, description="models drawn from the covariance of each model that has one; 0: none"
     )
     draw_seed: Count = Field(default=0, description="seed of these models")
+    commands: Names = Field(
+        default=(), description="names of the inputs that are the controller's forces; none: all but the disturbance"
+    )
+    disturbance: str = Field(
+        default="",
+        description="name of the input that disturbs; empty: w, or the only one that is no command, or the command's "
+        "own place",
+    )
     excitation_rms: Annotated[float, Field(ge=1e-9)] = Field(
-        default=0.25, description="m/s^2, rms of the ground acceleration for the predicted responses"
+        default=0.25,
+        description="m/s^2, rms of the ground acceleration for the predicted responses; of another disturbance in its "
+        "own SI unit",
     )
     excitation_band: Band = Field(
         default=NOT_GIVEN,
@@ -102,14 +116,29 @@ class DesignOptions(Limits):
         found = {
             "sample_period": sample_period_of(model, self.sample_period),
             "force_limit": tuple(force_limit_of(model, self.force_limit)),
-            "excitation_band": excitation_of(model, self.excitation_rms, self.excitation_band).band,
+            "excitation_band": self.excitation(model).band,
         }
         return self.model_copy(update=found)
 
-    @property
-    def excitation(self) -> Excitation:
-        """The ground acceleration of `excitation_rms` and `excitation_band`."""
-        return Excitation(self.excitation_rms, self.excitation_band)
+    @takes_models
+    def for_control(self, model: LinearModel) -> LinearModel:
+        """A `model` in SI units, from the `disturbance` to be rejected and the `commands`, in this order.
+
+        Raises
+        ------
+        AbraceError
+            As in `with_roles` and `in_si_units`.
+        """
+        model = with_roles(model, self.commands, self.disturbance)
+        if any(model.input_delay[:1]):
+            # a delay of the disturbance shifts its time alone
+            model = replace(model, input_delay=(0.0, *model.input_delay[1:]))
+        return in_si_units(model, model.inputs[1:])
+
+    @takes_models
+    def excitation(self, model: LinearModel) -> Excitation:
+        """The disturbance of a `model` for which responses are predicted."""
+        return excitation_of(model, self.excitation_rms, self.excitation_band)
 
 
 class Wording(NamedTuple):
@@ -201,14 +230,14 @@ def force_limit_of(model: LinearModel, given: Sequence[float] = ()) -> list[floa
 
 @takes_models
 def excitation_of(model: LinearModel, rms: float = 0.25, band: tuple[float, float] = NOT_GIVEN) -> Excitation:
-    """The ground acceleration for which a design predicts responses.
+    """The disturbance for which a design predicts responses, of a rig the ground acceleration.
 
     Parameters
     ----------
     model
-        Continuous.
+        Continuous; its first input disturbs.
     rms
-        [m/s^2].
+        [SI unit of this input].
     band
         [Hz]; NOT_GIVEN: 0.3 to 10 Hz, and wider where the slowest mode is nearer to an end than `AROUND_SLOWEST`.
 
@@ -217,13 +246,15 @@ def excitation_of(model: LinearModel, rms: float = 0.25, band: tuple[float, floa
     AbraceError
         If the rms or the band is not possible.
     """
+    disturbance, *_ = model.inputs or (signals.GROUND,)
+    unit = model.unit(disturbance)
     if band != NOT_GIVEN:
-        return Excitation(rms, band)
+        return Excitation(rms, band, disturbance, unit)
     low, high = Excitation().band
     for frequency, _ in pole_table(model.poles)[:1]:
         slowest = frequency / (2 * np.pi)
         low, high = min(low, AROUND_SLOWEST[0] * slowest), max(high, AROUND_SLOWEST[1] * slowest)
-    return Excitation(rms, (float(low), float(high)))
+    return Excitation(rms, (float(low), float(high)), disturbance, unit)
 
 
 def of_rig(options: OfRig, sample_rate: float, capacity: NDArray[np.float64]) -> OfRig:

@@ -14,7 +14,6 @@ from abrace_core import AbraceError
 from abrace_core.model.controller_file import Controller, save_controller
 from abrace_core.model.linear_model import load_covariance, takes_models
 from abrace_core.model.model_ensemble import draw_models
-from abrace_core.model.si_units import in_si_units
 from abrace_lqg.design import design
 from abrace_lqg.loop import closed_loop
 from abrace_lqg.proof.checks import prove, require
@@ -122,7 +121,8 @@ def proven_design(
     Parameters
     ----------
     models
-        By name: the model to design with, then the check models. They are converted to SI units.
+        By name: the model to design with, then the check models. They are converted to SI units; `options` name their
+        commands and disturbance.
     weights, weights_name
         Weights, and their name in the controller file.
     options
@@ -142,38 +142,40 @@ def proven_design(
         As in `design` and `prove`, or with the objections that are not accepted.
     """
     given = models
-    models = {name: _in_si_units(name, model) for name, model in given.items()}
+    models = {name: _for_control(name, model, options) for name, model in given.items()}
     name, model = next(iter(models.items()))
     options = options.of_model(model)
-    weights = scaled_weights(model, weights, options.sample_period, options.force_limit, options.excitation)
+    excitation = options.excitation(model)
+    weights = scaled_weights(model, weights, options.sample_period, options.force_limit, excitation)
     designed = design(model, weights, options.sample_period)
     ensembles = {}
     for known, covariance in (covariances or {}).items() if options.draws else ():
         try:
             # the covariance is that of the parameters in the units of the model as given
             drawn = draw_models(given[known], covariance, options.draws, options.draw_seed)
-            ensembles[known] = [in_si_units(one, commands=True) for one in drawn]
+            ensembles[known] = [options.for_control(one) for one in drawn]
         except AbraceError as error:
             raise AbraceError(f"model {known}: {error}") from error
-    proof = prove(designed, models, options.excitation, options.limits, ensembles, progress)
+    proof = prove(designed, models, excitation, options.limits, ensembles, progress)
     proof = require(replace(proof, distrusted=tuple(distrust)), options.accept)
-    bags = ", ".join(map(str, model.provenance.get("bags", {}).values())) or "unknown bags"
+    bags = ", ".join(map(str, model.provenance.get("bags", {}).values()))
+    tests = bags or str(model.provenance.get("data", "")) or "unknown bags"
     controller = Controller(
         name=weights_name.removesuffix(".yaml"),
         law=designed.controller,
         correction=designed.correction,
         prediction=designed.prediction,
         force_limit=np.array(options.force_limit),
-        model=f"{origin or name}, {model.order} states, from {bags}",
+        model=f"{origin or name}, {model.order} states, from {tests}",
         weights=f"{weights_name}: {weights}",
         margins=proof.summary(),
     )
     return ProvenDesign(controller, proof, models, ensembles)
 
 
-def _in_si_units(name: str, model: LinearModel) -> LinearModel:
+def _for_control(name: str, model: LinearModel, options: DesignOptions) -> LinearModel:
     try:
-        return in_si_units(model, commands=True)
+        return options.for_control(model)
     except AbraceError as error:
         raise AbraceError(f"design with {name}: {error}") from error
 

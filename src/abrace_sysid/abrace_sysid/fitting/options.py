@@ -39,10 +39,10 @@ class IdentificationOptions(TransferFunctionOptions):
     )
     table_band: Band = Field(default=NOT_GIVEN, description="Hz, band used of the table's tests; 0, 0: as excited")
     command_band: Band = Field(default=NOT_GIVEN, description="Hz, band used of the commands' tests; 0, 0: as excited")
-    command_order: Count = Field(
+    modes: Count = Field(
         default=0,
-        description="number of oscillating poles in the commands' tests; 0: found from the tests, by the method paper "
-        "two for each floor and six",
+        description="number of pole pairs in the commands' tests; 0: found from the tests, by the method paper one for "
+        "each floor and three",
     )
     lambda_power: float = Field(
         default=POWER,
@@ -64,9 +64,9 @@ class IdentificationOptions(TransferFunctionOptions):
         """
         if not groups:
             raise AbraceError("identification: a rig without braces, expected one group at least")
-        least, given = 2 * floors, self.command_order
-        if given and (given < least or given % 2):
-            raise AbraceError(f"identification: command_order {given}, expected an even number of at least {least}")
+        if self.modes and self.modes < floors:
+            raise AbraceError(f"identification: modes {self.modes}, expected at least {floors}, one for each floor")
+        least, given = 2 * floors, 2 * self.modes
         most = float("inf")
         if self.method == "paper":
             most = least + groups * (least + (given or least + 2 * MORE_PAIRS))

@@ -91,7 +91,7 @@ def fit_modes(
     floors
         Number of floors, and of the building's modes.
     options
-        `method` and `command_order` are used.
+        `method` and `modes` are used.
     progress
         Called with the step that begins and the fraction done.
 
@@ -129,7 +129,7 @@ def _of_tests_with_all_inputs(
 ) -> PoleEstimate:
     """The modes of tests in which table and commands were excited at once by noise."""
     responses = [side_by_side([data.responses[0] for data in (table, *commands)])]
-    pairs, groups = options.command_order // 2, len(commands)
+    pairs, groups = options.modes, len(commands)
     tests = _observations([table])
     if options.method == "vector_fitting":
         return _vector_fitted(tests, responses, 2 * groups, pairs)
@@ -145,7 +145,7 @@ def _of_tests_apart(
     progress: Callable[[str, float], None],
 ) -> tuple[PoleEstimate, PoleEstimate, PoleEstimate]:
     """The modes of the table tests, of the command tests, and of all tests together."""
-    by_likelihood, groups, pairs = options.method == "maximum_likelihood", len(commands), options.command_order // 2
+    by_likelihood, groups, pairs = options.method == "maximum_likelihood", len(commands), options.modes
     top, highest = (data.responses[0].omega[-1] for data in (table, commands[0]))
     progress("poles of the table tests", 0.5)
     from_table, measured = _observations([table]), [table.responses[0]]
@@ -258,7 +258,7 @@ def _remarks(
         )
     named = [f"{pair.frequency:.4g} rad/s, damping {pair.damping:.0%}" for pair in heavy]
     if named:
-        found.append(f"command_order: the pairs at {'; '.join(named)} are no modes, and left out of the poles")
+        found.append(f"modes: the pairs at {'; '.join(named)} are no modes, and left out of the poles")
     return tuple(found)
 
 

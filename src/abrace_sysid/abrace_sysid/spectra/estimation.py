@@ -15,7 +15,7 @@ from pydantic import Field
 from abrace_core.files.options import Count, Options
 from abrace_sysid.recorded.test import of_one_rig
 from abrace_sysid.spectra.bands import slowest_bandwidth
-from abrace_sysid.spectra.fourier import ORDER, WIDEST, automatic_half_width, lines_within
+from abrace_sysid.spectra.fourier import DEGREE, WIDEST, automatic_half_width, lines_within
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
 from abrace_sysid.spectra.local_regression import check_window, fit_locally
 from abrace_sysid.spectra.welch import check_segment, welch
@@ -30,7 +30,7 @@ LONGEST_SEGMENT = 32768
 """Default number of samples in a segment of Welch's method: 65 s at 500 Hz, a frequency resolution of 0.015 Hz."""
 
 POLYNOMIAL = 4, 6
-"""Default order and half-width of the local polynomial method."""
+"""Default degree and half-width of the local polynomial method."""
 
 Method = Literal["local_rational", "local_polynomial", "welch"]
 
@@ -55,7 +55,7 @@ class TransferFunctionOptions(Options):
 
     transfer_function: Method = Field(default="local_rational", description="how transfer functions are estimated")
     segment: Count = Field(default=0, description="samples of a segment in Welch's method; 0: from the record's length")
-    order: Count = Field(default=0, description="order of the local methods' polynomials; 0: 2 rational, 4 polynomial")
+    degree: Count = Field(default=0, description="of the local methods' polynomials; 0: 2 rational, 4 polynomial")
     half_width: Count = Field(default=0, description="lines on each side in the local methods; 0: from the record")
 
     def require_samples(self, samples: Mapping[str, int], lines: float) -> None:
@@ -78,8 +78,8 @@ class TransferFunctionOptions(Options):
         shortest, rational = min(samples.values()), self.transfer_function == "local_rational"
         records = sum(each // shortest for each in samples.values())
         half_width = self.half_width or (WIDEST if rational else POLYNOMIAL[1])
-        order = self.order or (ORDER if rational else POLYNOMIAL[0])
-        check_window(order, half_width, lines if self.half_width else np.inf, 1, records, 1 if rational else 0)
+        degree = self.degree or (DEGREE if rational else POLYNOMIAL[0])
+        check_window(degree, half_width, lines if self.half_width else np.inf, 1, records, 1 if rational else 0)
 
 
 def frequency_responses(
@@ -110,18 +110,18 @@ def frequency_responses(
         segment = options.segment or min(LONGEST_SEGMENT, shortest // 4)
         return tuple(welch(tests, name, band, segment) for name in inputs)
     if options.transfer_function == "local_polynomial":
-        order, half_width = options.order or POLYNOMIAL[0], options.half_width or POLYNOMIAL[1]
-        return local_responses(tests, inputs, band, order, half_width, poles=0)
+        degree, half_width = options.degree or POLYNOMIAL[0], options.half_width or POLYNOMIAL[1]
+        return local_responses(tests, inputs, band, degree, half_width, poles=0)
     seconds = shortest * tests[0].sample_period
     half_width = options.half_width or automatic_half_width(seconds, len(inputs), slowest_bandwidth(tests[0], band))
-    return local_responses(tests, inputs, band, options.order or ORDER, half_width, poles=1)
+    return local_responses(tests, inputs, band, options.degree or DEGREE, half_width, poles=1)
 
 
 def local_responses(
     tests: Sequence[Test],
     inputs: Sequence[str],
     band: tuple[float, float],
-    order: int,
+    degree: int,
     half_width: int,
     poles: Literal[0, 1],
 ) -> tuple[FrequencyResponse, ...]:
@@ -138,8 +138,8 @@ def local_responses(
         Names of all inputs that were excited; where there are several, they must not be proportional.
     band
         Lowest and highest frequency [Hz]; the inputs must be excited throughout.
-    order
-        Order of the polynomials of the response (in the rational method of its numerator) and of the transient.
+    degree
+        Degree of the polynomials of the response (in the rational method of its numerator) and of the transient.
     half_width
         Lines on either side of the centre line; the unknowns are estimated from 2 half_width + 1 lines.
     poles
@@ -160,8 +160,8 @@ def local_responses(
         for one in (test,) if whole else (test.part(first, first + samples) for first in starts):
             excitation.append(one.spectra(inputs)[lines])
             outputs.append(one.spectra(one.names)[lines])
-    response, sigma = fit_locally(np.array(excitation), np.array(outputs), order, half_width, poles)
-    method = f"local {'rational' if poles else 'polynomial'} method, order {order}, half-width {half_width}"
+    response, sigma = fit_locally(np.array(excitation), np.array(outputs), degree, half_width, poles)
+    method = f"local {'rational' if poles else 'polynomial'} method, degree {degree}, half-width {half_width}"
     if len(excitation) > 1:
         method += f", {len(excitation)} records"
     return tuple(

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 WIDEST = 20
 """Greatest half-width [lines] that is chosen for local rational fits: more lines improve little."""
 
-ORDER = 2
-"""Order of the numerator and transient polynomials in local rational fits: as accurate as higher orders, less noise."""
+DEGREE = 2
+"""Degree of the numerator and transient polynomials in local rational fits: as accurate as higher ones, less noise."""
 
 
 def automatic_half_width(seconds: float, inputs: int, bandwidth: float) -> int:
@@ -42,7 +42,7 @@ def automatic_half_width(seconds: float, inputs: int, bandwidth: float) -> int:
         Half-power bandwidth 2 zeta omega [rad/s] of the narrowest expected resonance.
     """
     reach = 6 * bandwidth * seconds / (2 * np.pi)
-    return int(np.clip(round(reach), least_half_width(ORDER, inputs) + 3, WIDEST))
+    return int(np.clip(round(reach), least_half_width(DEGREE, inputs) + 3, WIDEST))
 
 
 def lines_within(test: Test, samples: int, band: tuple[float, float]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -37,26 +37,26 @@ DEPENDENT = 1e-6
 """An input is linearly dependent if less than this share of it is independent of the other inputs."""
 
 
-def least_half_width(order: int, inputs: int = 1, records: int = 1) -> int:
+def least_half_width(degree: int, inputs: int = 1, records: int = 1) -> int:
     """The narrowest window, in lines on either side, that leaves residuals for an estimate of the noise.
 
     Parameters
     ----------
     inputs, records
-    order
-        Order of the polynomials.
+    degree
+        Degree of the polynomials.
     """
-    lines = (order + 1) * (inputs + records) / records
+    lines = (degree + 1) * (inputs + records) / records
     return int(lines / 2 + 0.5)
 
 
-def check_window(order: int, half_width: int, lines: float, inputs: int, records: int, poles: Literal[0, 1]) -> None:
+def check_window(degree: int, half_width: int, lines: float, inputs: int, records: int, poles: Literal[0, 1]) -> None:
     """Check that windows fit into a band, and have lines enough for their unknowns.
 
     Parameters
     ----------
     inputs, records
-    order, half_width, poles
+    degree, half_width, poles
         As of `fit_locally`.
 
     Raises
@@ -65,10 +65,10 @@ def check_window(order: int, half_width: int, lines: float, inputs: int, records
         If not.
     """
     method, window = f"local {'rational' if poles else 'polynomial'} method", 2 * half_width + 1
-    least = least_half_width(max(order, 0), inputs, records) + poles
-    if order < 0 or half_width < least:
-        found = f"order {order} and half_width {half_width}"
-        raise AbraceError(f"{method}: {found}, expected order >= 0 and half_width >= {least}")
+    least = least_half_width(max(degree, 0), inputs, records) + poles
+    if degree < 0 or half_width < least:
+        found = f"degree {degree} and half_width {half_width}"
+        raise AbraceError(f"{method}: {found}, expected degree >= 0 and half_width >= {least}")
     if lines < window:
         raise AbraceError(f"{method}: {lines:.0f} lines in the band, expected at least {window}")
 
@@ -76,7 +76,7 @@ def check_window(order: int, half_width: int, lines: float, inputs: int, records
 def fit_locally(
     excitation: NDArray[np.complex128],
     outputs: NDArray[np.complex128],
-    order: int,
+    degree: int,
     half_width: int,
     poles: Literal[0, 1] = 1,
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
@@ -88,8 +88,8 @@ def fit_locally(
         (records, lines, inputs) consecutive lines of the inputs' transforms.
     outputs
         (records, lines, channels) the same lines of the outputs' transforms.
-    order
-        Order of the polynomials B and C.
+    degree
+        Degree of the polynomials B and C.
     half_width
         Lines on either side of the centre line; at the ends of the band the windows are shifted inwards.
     poles
@@ -107,9 +107,9 @@ def fit_locally(
     """
     records, lines, inputs = excitation.shape
     channels = outputs.shape[2]
-    check_window(order, half_width, lines, inputs, records, poles)
+    check_window(degree, half_width, lines, inputs, records, poles)
     window = 2 * half_width + 1
-    grid = _Grid(excitation, outputs, order, half_width)
+    grid = _Grid(excitation, outputs, degree, half_width)
     windows = lines - window + 1
     weight = np.zeros(channels)
     if poles:
@@ -132,12 +132,12 @@ class _Grid:
     """All windows of a band, and the polynomials common to them."""
 
     def __init__(
-        self, excitation: NDArray[np.complex128], outputs: NDArray[np.complex128], order: int, half_width: int
+        self, excitation: NDArray[np.complex128], outputs: NDArray[np.complex128], degree: int, half_width: int
     ) -> None:
         window = 2 * half_width + 1
         self.offset = np.linspace(-1, 1, window)
-        basis, _ = np.linalg.qr(np.vander(self.offset, order + 1, increasing=True), mode="complete")
-        self.powers, self.complement = basis[:, : order + 1], basis[:, order + 1 :].T
+        basis, _ = np.linalg.qr(np.vander(self.offset, degree + 1, increasing=True), mode="complete")
+        self.powers, self.complement = basis[:, : degree + 1], basis[:, degree + 1 :].T
         # an input's window times each polynomial, an output's times 1 and r, both with the transient projected out
         self.of_input = np.concatenate(self.complement * self.powers.T[:, None, :])
         self.of_output = np.concatenate([self.complement, self.complement * self.offset])

@@ -97,7 +97,7 @@ def _cause(
     residual: Residual, depends: Dependence | None, mode: MissingMode | None, nonlinear: Sequence[str]
 ) -> tuple[str, str]:
     if mode is not None and mode.is_one:
-        return "mode missed", "Raise command_order by two, or widen the band, and identify again"
+        return "mode missed", "Raise modes by one, or widen the band, and identify again"
     worst = int(np.argmax(residual.excess))
     excess = max(float(residual.excess[worst]), 1e-12)
     follows = float(by_own_modes(residual)[worst]) if residual.excess[worst] > NEGLIGIBLE else 0.0
@@ -115,7 +115,7 @@ def _small_mode(residual: Residual, mode: MissingMode) -> Finding:
     """The finding on a missing mode whose residual is small."""
     at = f"{mode.frequency / (2 * np.pi):.3g} Hz"
     where, size = f"{at}, {residual.test.source}", float(residual.excess.max())
-    meaning, advice = f"a mode at {at} is not in the model", "Raise command_order by two and identify again"
+    meaning, advice = f"a mode at {at} is not in the model", "Raise modes by one and identify again"
     return Finding.of("modes", where, size, (NEGLIGIBLE,), meaning, "mode missed", advice, verdict=Verdict.CARE)
 
 
@@ -189,7 +189,7 @@ def disagreeing(
         advice = "Use the poles of the test whose amplitude is nearest to that of use; the common poles lie in between"
         if verdict == Verdict.DONT and nearest_mode([mode.frequency for mode in building], worst.frequency) is None:
             verdict, cause = Verdict.CARE, "a mode too many"
-            advice = "Lower command_order by two: the mode named is not a mode of the rig"
+            advice = "Lower modes by one: the mode named is not a mode of the rig"
     where = f"{worst.frequency / (2 * np.pi):.3g} Hz"
     return [Finding.of(check, where, value, DIFFERENT_DAMPING, meaning, cause, advice, verdict=verdict)]
 
@@ -226,7 +226,7 @@ def modes_of_both(table: Sequence[PoleInterval], common: Sequence[PoleInterval])
             (0.0, 0.0),
             f"the table's tests show a mode at {at} that the model does not have",
             "mode missed",
-            "Raise command_order by two and identify again",
+            "Raise modes by one and identify again",
         )
         for at in missing
     ]
