@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Modes of a known structure from records of every kind, names alone given."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import signal
+from scipy.interpolate import CubicSpline
 
 from abrace_core import AbraceError
 from abrace_sysid.data_identification import DataOptions, identify_data, observed, variance_accounted_for
@@ -122,6 +125,69 @@ def test_outputs_that_the_input_does_not_move_are_refused():
         identify_data(read(columns))
 
 
+@pytest.mark.parametrize(("hold", "error"), [("zero", 1e-12), ("band", 0.01)])
+def test_the_state_from_rest_is_the_one_that_the_input_makes(hold, error):
+    pole, steps = TRUE[0], 1 if hold == "zero" else 64
+    fine, step = np.random.default_rng(1).normal(size=500 * steps) + 0.3, 1 / (RATE * steps)
+    if hold == "band":
+        fine = signal.sosfilt(signal.butter(8, 12.0, fs=1 / step, output="sos"), fine)
+    force = fine[::steps]
+    whole = np.expm1(pole * step)
+    held, ramp = whole / pole, (whole - pole * step) / (pole**2 * step)
+    taps = [0, held] if hold == "zero" else [ramp, held - ramp]
+    state = signal.lfilter(taps, [1, -1 - whole], fine.astype(np.complex128))[::steps]
+    test = DataOptions(inputs=("force",), sample_rate=RATE, hold=hold).read({"force": force, "y": state.real})[0]
+    (lines,) = observed([test], (0.0, 25.0))
+    expected = np.fft.fft(state)[1 : 1 + len(lines.omega)] / np.sqrt(500)
+    found, slope = replace(lines, from_rest=True).state(pole, 0)
+    assert np.abs(found - expected).max() < error * np.abs(expected).max()
+    near = [replace(lines, from_rest=True).state(pole + by, 0)[0] for by in (1e-5, -1e-5)]
+    assert slope == pytest.approx((near[0] - near[1]) / 2e-5, rel=1e-6, abs=1e-6 * np.abs(slope).max())
+    with_history = lines.state(pole, 0)[0]
+    assert np.abs(with_history - expected).max() > 0.1 * np.abs(expected).max()
+
+
+def test_a_sweep_from_rest_shows_a_mode_that_it_does_not_reach():
+    columns = record("sweep", noise=0.003)
+    # the sweep is at 7.8 Hz here, and the highest mode at 8.2 Hz
+    found = identify_data(read({name: column[: int(0.55 * SAMPLES)] for name, column in columns.items()}))
+    assert right(found), found.pairs
+    rest = read({name: column[int(0.55 * SAMPLES) :] for name, column in columns.items()})
+    assert (variance_accounted_for(found.model, rest) > 0.99).all()
+
+
+def test_an_input_that_acts_late_has_a_delay_of_its_own():
+    random = np.random.default_rng(3)
+    low = signal.butter(8, 15.0, fs=OVER * RATE, output="sos")
+    forces = [signal.sosfilt(low, random.normal(size=OVER * SAMPLES)) for _ in range(2)]
+    late = 3  # samples
+    second = motion(np.roll(forces[1], late * OVER))[:, ::-1] * [1.0, -0.7]
+    outputs = (motion(forces[0]) + second)[::OVER]
+    outputs += 0.002 * outputs.std(axis=0) * random.normal(size=outputs.shape)
+    columns = {"f1": forces[0][::OVER], "f2": forces[1][::OVER], "y1": outputs[:, 0], "y2": outputs[:, 1]}
+    found = identify_data(DataOptions(inputs=("f1", "f2"), sample_rate=RATE).read(columns)[0])
+    assert right(found), found.pairs
+    assert list(found.delays) == ["f2"]
+    first, own = np.array(found.model.input_delay) * RATE
+    assert first == 0
+    assert own == pytest.approx(late, abs=0.5)
+    assert any("f2" in text and "late in its action against f1" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize("fast", [1e-4, -1e-4, 0.0])
+def test_a_clock_that_differs_from_that_of_the_inputs_is_named(fast):
+    columns, time = record("noise"), np.arange(SAMPLES) / RATE
+    for name in ("y1", "y2"):
+        columns[name] = CubicSpline(time, columns[name])(time / (1 + fast))
+    texts = [text for text in identify_data(read(columns)).warnings if "clock" in text]
+    assert len(texts) == (2 if fast else 0), texts
+    for name, text in zip(("y1", "y2"), texts, strict=False):
+        assert f"the clock of {name} is" in text
+        size, *_, side = text.split(" is ")[1].split(" against ")[0].split()
+        assert float(size) == pytest.approx(100, rel=0.1)
+        assert side == ("fast" if fast > 0 else "slow")
+
+
 @pytest.fixture(scope="module")
 def lines():
     return Lines(observed([read(record("noise"))], (0.0, 20.0)), NONE)
@@ -156,6 +222,45 @@ def test_the_noise_is_told_from_noise_of_the_input(of_input):
     resonant = np.argmin(abs(of_record.omega - abs(TRUE[0])))
     risen = noise.variance[resonant] / np.median(noise.variance[quiet], axis=0)
     assert (risen > 30).all() if of_input else (risen < 2).all()
+
+
+def response():
+    """Frequencies of the lines of a whole record [Hz] and the response (lines, 2) there."""
+    frequency = np.fft.rfftfreq(SAMPLES, 1 / RATE)
+    s, size = 2j * np.pi * frequency[:, None], np.abs(TRUE)
+    return frequency, (DRIVE * size**2 / (s**2 + 2 * DAMPING * size * s + size**2)) @ SHAPES.T
+
+
+def through_the_structure(part, random):
+    """Columns whose error is that of a noise of the input, or in proportion to the response; and its (lines,) variance.
+
+    In every second quarter of a hertz the input has a thirtieth of the power.
+    """
+    frequency, g = response()
+    power = np.where(4 * frequency % 2 < 1, 1.0, 1 / 30)
+    u, error = random.normal(size=(2, len(frequency), 2)) @ [1, 1j]
+    u *= np.sqrt(power)
+    share = 0.05 * (np.ones_like(power) if part == "noise of the input" else abs(u))[:, None]
+    y = g * u[:, None] + g * share * error[:, None]
+    y += 1e-7 * np.abs(y).max() * random.normal(size=(*y.shape, 2)) @ [1, 1j]
+    force, y1, y2 = (np.fft.irfft(column, SAMPLES) for column in (u, *y.T))
+    expected = np.abs(g[:, 0]) ** 2 * (1.0 if part == "noise of the input" else power)
+    return {"force": force, "y1": y1, "y2": y2}, expected, power
+
+
+@pytest.mark.parametrize("part", ["noise of the input", "in proportion"])
+def test_the_noise_that_passes_through_has_the_shape_of_what_it_passes_through(part):
+    columns, expected, power = through_the_structure(part, np.random.default_rng(5))
+    of_record = Lines(observed([read(columns)], (0.0, 20.0)), NONE)
+    ratio = noise_of(LineFit.at(of_record, TRUE)).variance[:, 0]
+    omega = of_record.omega / (2 * np.pi)
+    lines = np.searchsorted(response()[0], omega - 1e-9)
+    ratio, weak = ratio / expected[lines], power[lines] < 1
+    whole = np.median(ratio[omega < 12])
+    for low, high in ((1.9, 2.3), (3.6, 3.8), (5.1, 5.5), (8.0, 8.4), (0.5, 12)):
+        for kind in (weak, ~weak):
+            near = np.median(ratio[kind & (omega > low) & (omega < high)]) / whole
+            assert 0.4 < near < 2.5, (low, high, near)
 
 
 def test_the_modes_of_two_records_are_as_certain_as_of_one_twice_as_long():

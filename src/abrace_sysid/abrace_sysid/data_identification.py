@@ -3,17 +3,20 @@
 
 transfer functions  from all inputs at once, by default by the local rational method
 modes               searched in all lines (`mode_search`), refined by maximum likelihood
-delays              of single outputs, estimated with these modes (`output_delays`), and taken off before the last fit
-model               one state-space model for all inputs: these modes, and residual terms for modes above the band
+delays              of single channels, estimated with these modes (`output_delays`), and taken off before the last fit
+model               one state-space model for all inputs: these modes, and residual terms for modes above the band if
+                    they pay
 """
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 from scipy import fft
 
 from abrace_core import AbraceError
@@ -22,9 +25,10 @@ from abrace_core.model.discretization import discretize
 from abrace_core.model.linear_model import takes_models
 from abrace_core.model.simulation import simulate
 from abrace_sysid.examination import prepared
+from abrace_sysid.fitting.clocks import clock_of
 from abrace_sysid.fitting.mode_search import find_modes
-from abrace_sysid.fitting.observation import Observation
-from abrace_sysid.fitting.output_delays import SETTLED, Delay, output_delays
+from abrace_sysid.fitting.observation import Observation, Record
+from abrace_sysid.fitting.output_delays import SETTLED, Delay, input_delays, output_delays
 from abrace_sysid.fitting.residual_terms import fit_with_residual_terms, residual_poles
 from abrace_sysid.fitting.vector_fitting import HEAVY_DAMPING
 from abrace_sysid.models.modal import modal_model
@@ -38,6 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from abrace_core.model.linear_model import LinearModel
+    from abrace_sysid.fitting.clocks import Clock
     from abrace_sysid.fitting.mode_search import FoundModes
     from abrace_sysid.fitting.pole_estimate import PoleEstimate, PoleInterval
     from abrace_sysid.spectra.frequency_response import FrequencyResponse
@@ -54,6 +59,9 @@ BEYOND = 1.5
 
 HIGHEST = 0.48
 """Highest frequency that is fitted by default, times the sample period: beyond it no filter is steep enough."""
+
+MOST_POLES = 60
+"""Most pole pairs that are searched, and of a model."""
 
 SAME_PERIOD = 0.2
 """Greatest change of an input from period to period, as a share of its rms, with which it is periodic."""
@@ -95,10 +103,30 @@ class DataOptions(TableOptions, TransferFunctionOptions):
         default="band", description="inputs sampled as the outputs, band-limited, or held between samples (zero)"
     )
     band: Band = Field(default=NOT_GIVEN, description="Hz; 0, 0: what all inputs excite, from 10 / duration on")
-    most_modes: Annotated[int, Field(ge=1)] = Field(default=60, description="modes that are searched, at most")
+    modes: Annotated[int, Field(ge=0, le=MOST_POLES)] = Field(
+        default=0, description="pole pairs of the model, the best ones; 0: as many as pay"
+    )
+    order: Annotated[int, Field(ge=0, le=2 * MOST_POLES)] = Field(
+        default=0,
+        description="states of the model, two for each pole pair, with none for modes above the band; 0: by modes, and "
+        "two for each input for the modes above if they pay",
+    )
     held_out: Annotated[float, Field(ge=0, le=0.8)] = Field(
         default=0.0, description="share at the end of each record that is held out and predicted"
     )
+
+    @model_validator(mode="after")
+    def _of_pairs(self) -> DataOptions:
+        if self.order % 2:
+            raise ValueError(f"order {self.order}: an even number, two states for each pole pair")
+        if self.order and self.modes and self.order != 2 * self.modes:
+            raise ValueError(f"order {self.order} and modes {self.modes}: order {2 * self.modes}, or one of the two")
+        return self
+
+    @property
+    def pairs(self) -> int:
+        """Number of pole pairs that is given; 0: none is."""
+        return self.modes or self.order // 2
 
     def read(self, data: Any) -> tuple[Test, ...]:
         """The records `data`, one or several: tests, or the columns of files, DataFrames and arrays by name."""
@@ -128,7 +156,9 @@ class DataIdentification:
     model
         The same fit as a continuous state-space model; its input delay is that which all outputs have.
     delays
-        By output, against the inputs; those that are certain.
+        By output, against the inputs, and by input, how late it acts against the first; those that are certain.
+    clocks
+        Of outputs whose clock is certain to differ from that of the inputs; they are warned of, and stay in the model.
     """
 
     tests: tuple[Test, ...]
@@ -140,6 +170,7 @@ class DataIdentification:
     not_driven: NDArray[np.complex128]
     model: LinearModel
     delays: Mapping[str, Delay]
+    clocks: Mapping[str, Clock]
 
     @property
     def source(self) -> str:
@@ -153,8 +184,15 @@ class DataIdentification:
         by_words: dict[str, list[str]] = {}
         for name, delay in self.delays.items():
             by_words.setdefault(delay.words(period), []).append(name)
+        inputs = self.model.inputs
         for words, names in by_words.items():
-            texts.append(f"{self.source}: {', '.join(names)} {words} against the inputs: taken into account")
+            against = f"in its action against {inputs[0]}" if names[0] in inputs else "against the inputs"
+            texts.append(f"{self.source}: {', '.join(names)} {words} {against}: taken into account")
+        for name, clock in self.clocks.items():
+            texts.append(
+                f"{self.source}: the clock of {name} is {clock.words()} against that of the inputs: use one clock for "
+                "all channels, or resample this one"
+            )
         for place in np.flatnonzero(~self._listed):
             size = abs(self.estimate.poles[place]) / (2 * np.pi)
             texts.append(
@@ -183,9 +221,11 @@ class DataIdentification:
         return tuple(self.estimate.pairs(np.flatnonzero(self._listed)))
 
     def in_time(self, test: Test) -> Test:
-        """Another `test` of these channels, its outputs moved in time as those of the records used."""
-        common = self.model.input_delay[0]
-        return test.in_time({name: delay.seconds - common for name, delay in self.delays.items()})
+        """Another `test` of these channels, its outputs moved in time as those of the records used.
+
+        The delays that all outputs have, and those of inputs, are in the model.
+        """
+        return test.in_time(_moves(self.delays, test, self.model.input_delay))
 
 
 def identify_data(
@@ -236,8 +276,9 @@ def identify_data(
         return find_modes(
             whole,
             residual_poles(whole[0]),
-            options.most_modes,
+            MOST_POLES,
             lambda modes: progress(f"modes: {modes}", 0.1 + 0.6 * modes / (modes + 10)),
+            options.pairs,
         )
 
     found = search(alive)
@@ -251,7 +292,7 @@ def identify_data(
     progress("delays of outputs", 0.8)
     delays, records = _delays(alive, band, found.poles), alive
     if delays:
-        records = [one.in_time({name: delay.seconds for name, delay in delays.items()}) for one in alive]
+        records = [_all_in_time(one, delays) for one in alive]
         in_time = search(records)
         # the lag of a servo looks like a delay, and is a heavily damped pole if that costs less
         if in_time.cost < found.cost:
@@ -263,29 +304,33 @@ def identify_data(
             f"{_sources(tests)}: no mode from {fitted[0]:.4g} to {fitted[1]:.4g} Hz: nothing that the inputs cause "
             "there stands out of the noise"
         )
-    common = _common(delays, alive[0])
-    apart = {name: delay.seconds - common for name, delay in delays.items()}
-    used = tuple(one.in_time(apart) for one in alive)
+    late = _input_delay(delays, alive[0])
+    used = tuple(one.in_time(_moves(delays, one, late)) for one in alive)
     if delays:
         responses = frequency_responses(used, inputs, band, options)
     progress("maximum likelihood", 0.9)
-    estimate = _fitted(observed(records, fitted), found)
+    estimate = _fitted(observed(records, fitted), found, bool(options.order))
+    more = len(estimate.poles) > len(found.poles)
     provenance = {
         "data": _sources(tests),
+        "sample_period": tests[0].sample_period,
         "seconds": sum(test.seconds for test in tests),
         "band": list(band),
         "method": responses[0].method,
         "options": options.model_dump(),
         "hold": tests[0].hold,
-        "output_delays": apart,
-        "states": f"{len(found.poles)} pairs by maximum likelihood, {np.count_nonzero(found.is_mode)} of them modes, "
-        "and one pair for each input that represents modes above",
+        "output_delays": _moves(delays, alive[0], late),
+        "states": f"{len(found.poles)} pairs by maximum likelihood, {np.count_nonzero(found.is_mode)} of them modes"
+        + (", and one pair for each input that represents modes above" if more else ""),
     }
-    model = replace(modal_model(estimate, provenance), input_delay=(common,) * len(inputs))
+    model = replace(modal_model(estimate, provenance), input_delay=late)
     units = {name: unit for test in tests for name, unit in test.units.items()}
     model = replace(model, units={name: units[name] for name in (*model.inputs, *model.outputs) if name in units})
+    clocks = _clocks(model, used)
     progress("identified", 1.0)
-    return DataIdentification(tests, used, band, responses, estimate, found.is_mode, found.not_driven, model, delays)
+    return DataIdentification(
+        tests, used, band, responses, estimate, found.is_mode, found.not_driven, model, delays, clocks
+    )
 
 
 def _mean_period(record: Test) -> Test | None:
@@ -305,49 +350,84 @@ def _mean_period(record: Test) -> Test | None:
 
 
 def observed(records: Sequence[Test], band: tuple[float, float]) -> list[Observation]:
-    """The lines of each of the `records` in a `band` [Hz], of all their inputs, the ends of the records free."""
-    return [replace(Observation.of_test(one, one.inputs, band), free_ends=True) for one in records]
+    """The lines of each of the `records` in a `band` [Hz], of all their inputs; ends are free if these are not held."""
+    return [
+        replace(
+            Observation.of_test(one, one.inputs, band),
+            free_ends=one.hold == "band",
+            record=Record.of(one.channels(one.inputs)),
+        )
+        for one in records
+    ]
 
 
-def _fitted(whole: Sequence[Observation], found: FoundModes) -> PoleEstimate:
-    """Shapes, drives and intervals for the poles that were found, all refined together; the poles as found if not."""
-    free = not found.at_rest
+def _fitted(whole: Sequence[Observation], found: FoundModes, order_is_given: bool) -> PoleEstimate:
+    """Shapes, drives and intervals for the poles that were found, all refined together; the poles as found if not.
+
+    With residual terms of modes above the band if they pay, and the order is not given.
+    """
     weighted = [
-        replace(one.with_noise(level), transient=free, free_ends=free)
+        replace(one.with_noise(level), transient=not found.at_rest, from_rest=found.at_rest)
         for one, level in zip(whole, found.noise, strict=True)
     ]
-    try:
-        return fit_with_residual_terms(weighted, found.poles)
-    except AbraceError:
-        return fit_with_residual_terms(weighted, found.poles, 0)
+    fits = []
+    for with_above in (False,) if order_is_given else (False, True):
+        with contextlib.suppress(AbraceError):
+            fits.append(fit_with_residual_terms(weighted, found.poles, with_above=with_above))
+    if fits:
+        return min(fits, key=attrgetter("mdl"))
+    alone = [replace(one, free_ends=False) for one in weighted]
+    return fit_with_residual_terms(alone, found.poles, 0, with_above=not order_is_given)
 
 
 ROUNDS = 6
 """Most rounds of delays for these modes and modes for these delays."""
 
 
+def _all_in_time(record: Test, delays: Mapping[str, Delay]) -> Test:
+    """A record with all these delays taken off."""
+    return record.in_time({name: delay.seconds for name, delay in delays.items()})
+
+
 def _delays(records: Sequence[Test], band: tuple[float, float], poles: NDArray[np.complex128]) -> dict[str, Delay]:
-    """The certain delays, by output. The modes fitted without them are refined with them in turn."""
-    poles, whole = _modes_alone(poles, band), observed(records, band)
-    if not len(poles):
-        return {}
-    first = output_delays(whole, np.concatenate([poles, residual_poles(whole[0])[:1]]))
-    found = {name: delay for name, delay in zip(records[0].names, first, strict=True) if delay.is_certain}
-    for _ in range(ROUNDS if found else 0):
-        whole = observed([one.in_time({name: delay.seconds for name, delay in found.items()}) for one in records], band)
+    """The certain delays, by channel. The modes fitted without them are refined with them in turn."""
+    poles, inputs, period = _modes_alone(poles, band), records[0].inputs, records[0].sample_period
+    found: dict[str, Delay] = {}
+    for turn in range(ROUNDS if len(poles) else 0):
+        change = 0.0
+        for names, delays_of in ((inputs[1:], input_delays), (records[0].names, output_delays)):
+            if not names or (turn and found.keys().isdisjoint(names)):
+                continue
+            whole = observed([_all_in_time(one, found) for one in records], band)
+            steps = delays_of(whole, np.concatenate([poles, residual_poles(whole[0])[:1]]))
+            for name, step in zip(names, steps, strict=True):
+                if name in found:
+                    seconds, left = found[name].seconds + step.seconds, found[name].left
+                    found[name] = Delay(seconds, step.deviation, left)
+                    change = max(change, abs(step.seconds))
+                elif not turn and step.is_certain:
+                    found[name] = step
+                    change = np.inf
+        if change < SETTLED * period:
+            break
+        whole = observed([_all_in_time(one, found) for one in records], band)
         try:
             poles = _modes_alone(fit_with_residual_terms(whole, poles, spread="none").poles[: len(poles)], band)
         except AbraceError:
             break
-        more = output_delays(whole, np.concatenate([poles, residual_poles(whole[0])[:1]]))
-        step = dict(zip(records[0].names, more, strict=True))
-        found = {
-            name: delay._replace(seconds=delay.seconds + step[name].seconds, deviation=step[name].deviation)
-            for name, delay in found.items()
-        }
-        if max(abs(step[name].seconds) for name in found) < SETTLED * records[0].sample_period:
-            break
     return {name: delay for name, delay in found.items() if delay.is_certain}
+
+
+def _clocks(model: LinearModel, records: Sequence[Test]) -> dict[str, Clock]:
+    """The clocks that certainly differ from the inputs', by output, from the record that tells most about each."""
+    found: dict[str, Clock] = {}
+    for one in records:
+        foreseen, measured = predicted(model, one), one.channels(model.outputs)
+        for name, *both in zip(model.outputs, measured.T, foreseen.T, strict=True):
+            clock = clock_of(*both)
+            if name not in found or clock.deviation < found[name].deviation:
+                found[name] = clock
+    return {name: clock for name, clock in found.items() if clock.is_certain}
 
 
 def _modes_alone(poles: NDArray[np.complex128], band: tuple[float, float]) -> NDArray[np.complex128]:
@@ -356,9 +436,18 @@ def _modes_alone(poles: NDArray[np.complex128], band: tuple[float, float]) -> ND
     return poles[(-poles.real < HEAVY_DAMPING * size) & (size < 2 * np.pi * band[1]) & (poles.imag > 0)]
 
 
-def _common(delays: Mapping[str, Delay], record: Test) -> float:
-    """The delay [s] that all outputs of a record have, as a delay of the inputs; 0: there is none."""
-    return max(0.0, min(delays[name].seconds if name in delays else 0.0 for name in record.names))
+def _input_delay(delays: Mapping[str, Delay], record: Test) -> tuple[float, ...]:
+    """The delays [s] of a record's inputs, none before 0: what all outputs have, and what each input has."""
+    common = max(0.0, min(delays[name].seconds if name in delays else 0.0 for name in record.names))
+    own = [delays[name].seconds if name in delays else 0.0 for name in record.inputs]
+    return tuple(common + each - min(own) for each in own)
+
+
+def _moves(delays: Mapping[str, Delay], record: Test, late: Sequence[float]) -> dict[str, float]:
+    """How late [s] the outputs of a record are beside the delays of the inputs."""
+    first = late[0] - (delays[record.inputs[0]].seconds if record.inputs[0] in delays else 0.0)
+    moves = {name: (delays[name].seconds if name in delays else 0.0) - first for name in record.names}
+    return {name: by for name, by in moves.items() if by}
 
 
 def _sources(tests: Sequence[Test]) -> str:

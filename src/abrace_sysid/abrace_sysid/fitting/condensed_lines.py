@@ -195,12 +195,11 @@ def _lines_of(
         pole, place = modes.poles[mode], places[mode]
         sides = sides_of(pole)
         before = len(basis), len(slopes)
+        # a fixed pole stands for others: it has no history
+        whole = replace(observation, from_rest=False) if modes.fixed[mode] else observation
         responses, changes = [], []  # of each side (the pole, its conjugate): (lines, inputs)
         for side in sides:
-            pairs = [
-                [drive * part for part in sampling.response(side, z, modes.delays[i])]
-                for sampling, drive, i in zip(observation.samplings, observation.excitation.T, named, strict=True)
-            ]
+            pairs = [whole.state(side, number, modes.delays[i]) for number, i in enumerate(named)]
             responses.append(np.column_stack([pair[0] for pair in pairs]))
             changes.append(np.column_stack([pair[1] for pair in pairs]))
         drive = modes.drive[mode]

@@ -85,7 +85,7 @@ def _kinds(likelihood: Likelihood) -> list[list[int]]:
     records: list[list[int]] = []
     periodic: dict[tuple[str, ...], list[int]] = {}
     for i, test in enumerate(likelihood.tests):
-        if test.observation.transient:
+        if test.observation.is_record:
             records.append([i])
         else:
             periodic.setdefault(test.observation.inputs, []).append(i)
@@ -106,7 +106,7 @@ def _scatter(
         clusters /= (1 - np.minimum(_leverage(likelihood, i), MOST_LEVERAGE))[:, None]
         by_test.append(clusters.T @ clusters)
     lines = np.sum(by_test, axis=0)
-    if likelihood.tests[tests[0]].observation.transient:
+    if likelihood.tests[tests[0]].observation.is_record:
         count = _memories(likelihood, tests[0])
         fluctuation = _cosines(len(clusters), count) @ _scores(likelihood, tests[0], joint, in_time=True)
         return lines, fluctuation.T @ fluctuation / count, count

@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg
+from scipy.linalg import blas
 
 from abrace_sysid.fitting.curve_fit import stacked
 from abrace_sysid.fitting.observation import ENDS
-from abrace_sysid.fitting.pole_basis import combined, forced, sides_of
+from abrace_sysid.fitting.pole_basis import forced, sides_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -46,10 +47,8 @@ TRIES = 7
 APART = 4
 """Up to so many outputs each has a noise of its own spectrum; more have one in common, each with its own level."""
 
-KEPT = 8_000_000
-"""Values of columns, and as many derivatives, that are kept for further fits with the same poles."""
-
-ONE = np.ones(1)
+AT_A_TIME = 64
+"""Candidates whose gains are computed together."""
 
 
 class Lines:
@@ -62,12 +61,14 @@ class Lines:
     above
         Poles [rad/s] that represent modes above the lines; their residues are free.
     at_rest
-        Whether all records begin and end at rest, so that no pole has a free decay.
+        Whether all records begin at rest, so that no pole has a free decay.
 
     Attributes
     ----------
     groups
         Outputs whose noise has one spectrum.
+    fixed
+        (2 lines, columns) those that do not depend on a pole, real parts above imaginary ones.
     deviation
         (lines, outputs) standard deviation of the noise, of the outputs of a group in proportion.
     """
@@ -81,8 +82,9 @@ class Lines:
             np.sqrt(np.mean(np.abs(np.vstack([getattr(one, name) for one in observations])) ** 2, axis=0))
             for name in ("excitation", "measured")
         ]
+        units = dict(zip(observations[0].inputs, sizes[0], strict=True))
         observations = [
-            replace(one, excitation=one.excitation / sizes[0], measured=one.measured / sizes[1]) for one in observations
+            replace(one.in_units(units), measured=one.measured / sizes[1], from_rest=at_rest) for one in observations
         ]
         self.excitation = np.vstack([one.excitation for one in observations])
         self.measured = np.vstack([one.measured for one in observations])
@@ -100,43 +102,55 @@ class Lines:
             for one in observations
             if len(above)
         ]
-        self.fixed = np.column_stack([self.excitation, *([np.vstack(tails)] if tails else []), *own])
+        self.fixed = stacked(np.column_stack([self.excitation, *([np.vstack(tails)] if tails else []), *own]))
         alone = [np.array([o]) for o in range(self.outputs)]
         self.groups = alone if self.outputs <= APART else [np.arange(self.outputs)]
         self.deviation = np.ones(self.measured.shape)
-        self._columns: dict[complex, tuple[NDArray[np.complex128], NDArray[np.complex128]]] = {}
 
     @property
     def per_pole(self) -> int:
         """Number of columns of a pole: two for each input and for each record."""
         return 2 * (self.inputs + len(self.rows))
 
-    def columns(self, pole: complex) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """(lines, per_pole) the columns of a pole, forced ones first, and their derivatives by the pole."""
-        kept = self._columns.get(pole)
-        if kept is None:
-            if len(self._columns) * self.per_pole * len(self.omega) > KEPT:
-                self._columns.clear()
-            kept = self._columns[pole] = self._columns_of(pole)
-        return kept
+    def columns(self, poles: NDArray[np.complex128], slopes: bool = False) -> NDArray[np.float64]:
+        """(2 lines, per_pole poles) the columns of each pole, forced ones first; of all, or their derivatives by it.
 
-    def _columns_of(self, pole: complex) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        found = np.zeros((2, len(self.omega), self.per_pole), dtype=np.complex128)
-        sides, size = sides_of(pole), -pole.real
+        Parameters
+        ----------
+        poles
+            Upper ones.
+        slopes
+            Whether the derivatives are asked for.
+        """
+        half, part = len(self.omega), int(slopes)
+        found = np.zeros((2 * half, self.per_pole * len(poles)), order="F")
         for number, (one, rows) in enumerate(zip(self.observations, self.rows, strict=True)):
-            for i, sampling in enumerate(one.samplings):
-                parts = [sampling.response(side, one.z) for side in sides]
-                for order in (0, 1):
-                    each = [(part[order] * one.excitation[:, i])[:, None] for part in parts]
-                    found[order, rows, 2 * i : 2 * i + 2] = size * np.column_stack(combined(each, ONE))
-            if not self.at_rest:
-                first, sampling = 2 * (self.inputs + number), one.samplings[0]
-                leaks = [sampling.transient(side, one.z) for side in sides]
-                for order in (0, 1):
-                    each = [leak[order][:, None] for leak in leaks]
-                    scale = size * sampling.sample_period
-                    found[order, rows, first : first + 2] = scale * np.column_stack(combined(each, ONE))
-        return found[0], found[1]
+            real, imaginary = found[rows], found[rows.start + half : rows.stop + half]
+            for i, pole in enumerate(poles):
+                first, own = self.per_pole * i, sides_of(pole)
+                for j in range(self.inputs):
+                    above, below = (one.state(side, j)[part] for side in own)
+                    _fill(real, imaginary, first + 2 * j, above, below, -pole.real)
+                if not self.at_rest:
+                    sampling = one.samplings[0]
+                    above, below = (sampling.transient(side, one.z)[part] for side in own)
+                    size = -pole.real * sampling.sample_period
+                    _fill(real, imaginary, first + 2 * (self.inputs + number), above, below, size)
+        return found
+
+
+def _fill(
+    real: NDArray[np.float64],
+    imaginary: NDArray[np.float64],
+    place: int,
+    above: NDArray[np.complex128],
+    below: NDArray[np.complex128],
+    by: float,
+) -> None:
+    """Write the two real combinations of both sides of a pair (`pole_basis.combined`) to columns from `place`."""
+    total, apart = 0.5 * by * (above + below), 0.5 * by * (above - below)
+    real[:, place], imaginary[:, place] = total.real, total.imag
+    real[:, place + 1], imaginary[:, place + 1] = -apart.imag, apart.real
 
 
 def poles_of(parameters: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -162,24 +176,22 @@ class LineFit:
         (poles, 2) expected damping ratio and standard deviation of its logarithm.
     deviation
         (lines, outputs) of the noise, with which it was fitted.
-    columns
-        (2 lines, coefficients) real.
     coefficients
         (coefficients, outputs).
     residual
         (2 lines, outputs) in standard deviations of the noise.
-    factors, norms
-        Of each group of outputs: Cholesky factor of the normal equations, lengths of the columns.
+    weighted, factors, norms
+        Of each group of outputs: (2 lines, coefficients) columns in standard deviations of its first output, Cholesky
+        factor of their products, and lengths, by which these are divided.
     """
 
     lines: Lines
     poles: NDArray[np.complex128]
     usual: NDArray[np.float64]
     deviation: NDArray[np.float64]
-    slopes: tuple[NDArray[np.complex128], ...]
-    columns: NDArray[np.float64]
     coefficients: NDArray[np.float64]
     residual: NDArray[np.float64]
+    weighted: tuple[NDArray[np.float64], ...]
     factors: tuple[NDArray[np.float64], ...]
     norms: tuple[NDArray[np.float64], ...]
 
@@ -187,30 +199,30 @@ class LineFit:
     def at(cls, lines: Lines, poles: NDArray[np.complex128], usual: NDArray[np.float64] | None = None) -> LineFit:
         """The fit with these poles and the lines' present noise; dampings `usual` as in `LineFit`, None: as of any."""
         usual = np.tile((USUAL_DAMPING, FACTOR), (len(poles), 1)) if usual is None else usual
-        parts = [lines.columns(pole) for pole in poles]
-        columns = stacked(np.column_stack([*(values for values, _ in parts), lines.fixed]))
+        columns = np.concatenate([lines.columns(poles), lines.fixed], axis=1)
         measured = stacked(lines.measured)
         coefficients, residual = np.empty((columns.shape[1], lines.outputs)), np.empty_like(measured)
-        factors, norms = [], []
+        each, factors, norms = [], [], []
         for group in lines.groups:
             weight, size = _weight(lines.deviation, group)
             own = columns * weight
-            norm = np.sqrt(np.einsum("ij,ij->j", own, own))
+            normal = blas.dsyrk(1.0, own, trans=1, lower=1)
+            norm = np.sqrt(np.diag(normal))
             norm[norm == 0] = 1.0
-            own /= norm
-            normal = own.T @ own
+            normal /= norm[:, None] * norm
             normal[np.diag_indices_from(normal)] += RIDGE
             factor = linalg.cholesky(normal, lower=True, check_finite=False)
             target = measured[:, group] * weight
-            found = linalg.cho_solve((factor, True), own.T @ target, check_finite=False)
-            found += linalg.cho_solve((factor, True), own.T @ (target - own @ found), check_finite=False)
-            residual[:, group] = (target - own @ found) / size
-            coefficients[:, group] = found / norm[:, None]
+            found, left = np.zeros((len(norm), len(group))), target
+            for _ in range(2):
+                found = found + _solved(factor, own.T @ left / norm[:, None]) / norm[:, None]
+                left = target - own @ found
+            residual[:, group], coefficients[:, group] = left / size, found
+            each.append(own)
             factors.append(factor)
             norms.append(norm)
-        slopes = tuple(slope for _, slope in parts)
         return cls(
-            lines, poles, usual, lines.deviation, slopes, columns, coefficients, residual, tuple(factors), tuple(norms)
+            lines, poles, usual, lines.deviation, coefficients, residual, tuple(each), tuple(factors), tuple(norms)
         )
 
     @property
@@ -244,12 +256,15 @@ class LineFit:
         lines, m = self.lines, self.lines.inputs
         start = lines.per_pole * len(self.poles)
         found = np.repeat(self.coefficients[start : start + m].T[None].astype(np.complex128), len(lines.omega), axis=0)
-        for i, pole in enumerate(self.poles):
-            residues = -pole.real * (self.of_pole(i)[0 : 2 * m : 2] + 1j * self.of_pole(i)[1 : 2 * m : 2]).T / 2
-            for one, rows in zip(lines.observations, lines.rows, strict=True):
-                for j, sampling in enumerate(one.samplings):
-                    above, below = (sampling.response(side, one.z)[0] for side in sides_of(pole))
-                    found[rows, :, j] += np.outer(above, residues[:, j]) + np.outer(below, residues[:, j].conj())
+        if not len(self.poles):
+            return found
+        own = self.coefficients[:start].reshape(len(self.poles), lines.per_pole, lines.outputs)
+        residues = -self.poles.real[:, None, None] * (own[:, 0 : 2 * m : 2] + 1j * own[:, 1 : 2 * m : 2]) / 2
+        for one, rows in zip(lines.observations, lines.rows, strict=True):
+            for j, sampling in enumerate(one.samplings):
+                sides = [[sampling.response(side, one.z)[0] for side in sides_of(pole)] for pole in self.poles]
+                above, below = (np.column_stack(each) for each in zip(*sides, strict=True))
+                found[rows, :, j] += above @ residues[:, j] + below @ residues[:, j].conj()
         return found
 
     def curvature(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -267,16 +282,24 @@ class LineFit:
             for kind, step in enumerate((pole, by_damping)):
                 pairs = (c[0::2] + 1j * c[1::2]) * step
                 turned[i, kind] = np.stack([pairs.real, pairs.imag], axis=1).reshape(c.shape)
-        slopes = stacked(np.column_stack(self.slopes))
+        slopes = self.lines.columns(self.poles, slopes=True)
         normal, descent = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
-        for group, factor, norm in zip(self.lines.groups, self.factors, self.norms, strict=True):
+        for group, basis, factor, norm in zip(self.lines.groups, self.weighted, self.factors, self.norms, strict=True):
             weight, size = _weight(self.deviation, group)
-            own, basis = slopes * weight, self.columns * weight / norm
-            own -= basis @ linalg.cho_solve((factor, True), basis.T @ own, check_finite=False)
-            products = (own.T @ own).reshape(count, per, count, per)
-            change = turned[..., group] / size
+            change, own = turned[..., group] / size, slopes
+            if 2 * len(group) < per:
+                # the derivatives themselves are fewer than the columns they are made of
+                own = np.empty((len(slopes), 2 * count), order="F")
+                for i in range(count):
+                    own[:, 2 * i : 2 * i + 2] = slopes[:, per * i : per * (i + 1)] @ change[i, :, :, 0].T
+                change = np.tile(np.eye(2)[:, :, None], (count, 1, 1, 1))
+            own = own * weight
+            columns = own.shape[1] // count
+            shared = basis.T @ own / norm[:, None]
+            products = own.T @ own - shared.T @ _solved(factor, shared)
+            products = products.reshape(count, columns, count, columns)
             normal += np.einsum("aipo,apbq,bkqo->aibk", change, products, change, optimize=True).reshape(normal.shape)
-            onto = (own.T @ self.residual[:, group]).reshape(count, per, len(group))
+            onto = (own.T @ self.residual[:, group]).reshape(count, columns, len(group))
             descent += np.einsum("aipo,apo->ai", change, onto).ravel()
         damped = 2 * np.arange(count) + 1
         normal[damped, damped] += 1 / self.usual[:, 1] ** 2
@@ -289,32 +312,43 @@ class LineFit:
         excess = self.cost / max(self.residual.size - self.coefficients.size - len(normal), 1)
         return np.asarray(np.linalg.pinv(normal) * max(1.0, excess))
 
-    def forced_gain(self, i: int) -> float:
-        """What the forced response of the pole `i` explains (chi-square), all else fitted again."""
-        first = self.lines.per_pole * i
-        own, gain = slice(first, first + 2 * self.lines.inputs), 0.0
+    def explained(self, forced: bool = False) -> NDArray[np.float64]:
+        """(poles,) what each pole explains (chi-square), or its `forced` response alone, all else fitted again."""
+        per, found = self.lines.per_pole, np.zeros(len(self.poles))
         for group, factor, norm in zip(self.lines.groups, self.factors, self.norms, strict=True):
-            inverse = linalg.cho_solve((factor, True), np.eye(len(norm)), check_finite=False)[own, own]
-            scaled = (self.coefficients[:, group] * norm[:, None])[own] / _weight(self.deviation, group)[1]
-            gain += float(np.sum(scaled * np.linalg.solve(inverse, scaled)))
-        return gain
+            inverse = _solved(factor, np.eye(len(norm)))
+            scaled = self.coefficients[:, group] * norm[:, None] / _weight(self.deviation, group)[1]
+            for i in range(len(self.poles)):
+                own = slice(per * i, per * i + (2 * self.lines.inputs if forced else per))
+                found[i] += float(np.sum(scaled[own] * np.linalg.solve(inverse[own, own], scaled[own])))
+        return found
 
     def gains(self, candidates: NDArray[np.complex128]) -> NDArray[np.float64]:
         """(candidates,) what each further pole would explain (chi-square), not refined."""
-        weights = [_weight(self.deviation, group)[0] for group in self.lines.groups]
-        bases = [self.columns * weight / norm for weight, norm in zip(weights, self.norms, strict=True)]
-        found = np.zeros(len(candidates))
-        for i, pole in enumerate(candidates):
-            columns = stacked(self.lines.columns(pole)[0])
-            for group, weight, basis, factor in zip(self.lines.groups, weights, bases, self.factors, strict=True):
-                own = columns * weight
-                own = own / np.maximum(np.linalg.norm(own, axis=0), np.finfo(float).tiny)
-                shared = basis.T @ own
-                apart = own.T @ own - shared.T @ linalg.cho_solve((factor, True), shared, check_finite=False)
-                apart[np.diag_indices_from(apart)] += 1e-9
-                of_own = own.T @ self.residual[:, group]
-                found[i] += float(np.sum(of_own * np.linalg.solve(apart, of_own)))
+        per, found = self.lines.per_pole, np.zeros(len(candidates))
+        for start in range(0, len(candidates), AT_A_TIME):
+            columns = self.lines.columns(candidates[start : start + AT_A_TIME])
+            count = columns.shape[1] // per
+            for group, basis, factor, norm in zip(
+                self.lines.groups, self.weighted, self.factors, self.norms, strict=True
+            ):
+                own = columns * _weight(self.deviation, group)[0]
+                shared = (basis.T @ own / norm[:, None]).T.reshape(count, per, -1)
+                mine = own.T.reshape(count, per, -1)
+                products = mine @ mine.transpose(0, 2, 1)
+                scale = np.sqrt(np.maximum(np.diagonal(products, axis1=1, axis2=2), np.finfo(float).tiny))
+                taken = _solved(factor, shared.reshape(count * per, -1).T).T.reshape(shared.shape)
+                apart = (products - shared @ taken.transpose(0, 2, 1)) / (scale[:, :, None] * scale[:, None])
+                apart[:, range(per), range(per)] += 1e-9
+                of_own = (own.T @ self.residual[:, group]).reshape(count, per, -1) / scale[:, :, None]
+                explained = np.sum(of_own * np.linalg.solve(apart, of_own), axis=(1, 2))
+                found[start : start + count] += explained
         return found
+
+
+def _solved(factor: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The solution of the normal equations with this lower Cholesky factor."""
+    return np.asarray(linalg.cho_solve((factor, True), right, check_finite=False))
 
 
 def _weight(

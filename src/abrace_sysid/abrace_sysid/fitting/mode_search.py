@@ -19,6 +19,7 @@ import numpy as np
 from scipy import linalg
 from scipy.stats import chi2
 
+from abrace_core import AbraceError
 from abrace_sysid.fitting.line_fit import LineFit, Lines, parameters_of, poles_of, refined
 from abrace_sysid.fitting.line_noise import LAST_STEPS, noise_of
 
@@ -48,8 +49,17 @@ ALIKE = 0.35
 CHANCE, FREE_CHANCE = 1e-8, 1e-6
 """Probability that noise explains as much as a pole must, and as much as its forced or its free part must."""
 
+REST_CHANCE = 0.01
+"""Probability that records that begin at rest are not taken as such."""
+
 AT_ONCE = 4
 """Poles that are added before the noise is estimated anew."""
+
+FORCED = 0.01
+"""Where the number of pairs is given, the forced part of each explains at least this share of what it explains."""
+
+LOOKED_AT = 12
+"""Candidates whose gains are computed anew after a pole is added; all are before the search ends."""
 
 IN_VAIN = 6
 """Sets in a row that do not pay end the choice."""
@@ -80,7 +90,7 @@ class FoundModes:
     noise
         For each record (lines,) the noise's standard deviation, over outputs their geometric mean, median 1.
     at_rest
-        Whether the records are explained by forced motion alone.
+        Whether the records are explained by forced motion alone, from rest.
     passes_through
         Whether noise of the inputs, nonlinearity or unmeasured forces pass through the modes (`LineNoise`).
     cost
@@ -101,6 +111,7 @@ def find_modes(
     above: NDArray[np.complex128],
     most: int,
     progress: Callable[[int], None] = lambda _modes: None,
+    given: int = 0,
 ) -> FoundModes:
     """The modes of records of one structure.
 
@@ -114,36 +125,79 @@ def find_modes(
         Greatest number of poles.
     progress
         Called with the number of poles found so far.
+    given
+        Number of pairs that the inputs drive: the best ones, more than pay if need be; 0: those that pay.
+
+    Raises
+    ------
+    AbraceError
+        If the records do not have so many pairs.
     """
     lines = Lines(observations, above)
+    most = max(most, given)
+    if given > (enough := len(lines.omega) * lines.outputs // (1 + lines.outputs * lines.per_pole)):
+        raise AbraceError(f"identification: {given} modes, expected at most {enough} of {len(lines.omega)} lines")
     fit = _searched(lines, most, progress)
-    fit = _chosen(lines, fit.poles)
+    fit, noise = _chosen(lines, LineFit.at(lines, fit.poles[:0]), fit.poles)
     for _ in range(2):
-        more = _added(lines, fit, _candidates(lines, fit.errors())[0], most)
+        more = _added(lines, fit, _candidates(lines, fit.errors())[0], most, noise)
         if len(more.poles) == len(fit.poles):
             break
-        fit = _chosen(lines, more.poles)
+        fit, noise = _chosen(lines, fit, more.poles[len(fit.poles) :])
         progress(len(fit.poles))
     noise = noise_of(fit, LAST_STEPS)
     lines.deviation = np.sqrt(noise.variance)
     fit = refined(lines, fit.poles, 30, 1e-4)
-    if not all(_is_driven(fit)) and len(fit.poles):
-        # one hit at the first sample: what is forced and what is free cannot be told apart
+    if len(fit.poles):
+        # free decays cost certainty: of what is excited at the end of a record, and if there is but one hit
         still = Lines(observations, above, at_rest=True)
         still.deviation = lines.deviation
-        alone = refined(still, fit.poles, 5)
+        alone = refined(still, fit.poles, 15, 1e-3)
         free = 2 * lines.outputs * len(observations) * len(fit.poles)
-        if alone.misfit < fit.misfit + chi2.isf(FREE_CHANCE, free):
+        if alone.misfit < fit.misfit + chi2.isf(REST_CHANCE, free):
             fit = alone
-    return _reported(fit, noise)
+    if given:
+        fit, noise = _with_pairs(fit, given)
+    return _reported(fit, noise, given)
 
 
-def _reported(fit: LineFit, found: LineNoise) -> FoundModes:
-    """The driven poles of a fit, and which are modes; poles that are none are damped with care."""
+def _with_pairs(fit: LineFit, given: int) -> tuple[LineFit, LineNoise]:
+    """The fit with so many pairs that the inputs drive: the weakest left out, or the best candidates added."""
+    lines = fit.lines
+    while True:
+        forced = fit.explained(forced=True)
+        # what moves nearly free is no pair that the inputs drive, however well it is seen
+        driven = _is_driven(fit) & (forced > FORCED * fit.explained())
+        if np.count_nonzero(driven) <= given:
+            break
+        fit = refined(lines, np.delete(fit.poles, int(np.argmin(np.where(driven, forced, np.inf)))), 6, 0.1)
+    missing = given - int(np.count_nonzero(driven))
+    while missing:
+        candidates, more = _candidates(lines, fit.errors())[0], list[complex]()
+        gains = fit.gains(candidates)
+        # a pole that explains less than its parameters do of noise is none
+        for i in [i for i in np.argsort(-gains) if gains[i] > 2 + lines.outputs * lines.per_pole]:
+            apart = all(abs(candidates[i] - one) > -2 * min(candidates[i].real, one.real) for one in more)
+            if apart and len(more) < min(AT_ONCE, missing):
+                more.append(complex(candidates[i]))
+        new = refined(lines, np.append(fit.poles, more), 5, 0.1) if more else fit
+        if not new.misfit < fit.misfit:
+            most = given - missing
+            raise AbraceError(f"identification: {given} modes, expected at most {most}: the data show no more")
+        fit, missing = new, missing - len(more)
+    noise = noise_of(fit, LAST_STEPS)
+    lines.deviation = np.sqrt(noise.variance)
+    return refined(lines, fit.poles, 30, 1e-4), noise
+
+
+def _reported(fit: LineFit, found: LineNoise, given: int = 0) -> FoundModes:
+    """The driven poles of a fit, `given` or those that pay, and which are modes; others are damped with care."""
     lines, careful = fit.lines, fit.usual.copy()
     seconds = max(one.seconds for one in lines.observations)
     spread = np.sqrt(np.maximum(np.diag(fit.covariance()), 0)).reshape(-1, 2)
     driven = _is_driven(fit)
+    if given:
+        driven = np.isin(np.arange(len(fit.poles)), np.argsort(-fit.explained(forced=True))[:given])
     size, damping = np.abs(fit.poles), -fit.poles.real / np.abs(fit.poles)
     decay = damping * size * seconds
     is_mode = (spread[:, 1] < SURE_DAMPING) & (spread[:, 0] < SURE_FREQUENCY) & (damping < HEAVIEST)
@@ -167,12 +221,12 @@ def _reported(fit: LineFit, found: LineNoise) -> FoundModes:
 def _is_driven(fit: LineFit) -> NDArray[np.bool_]:
     """(poles,) whether the forced part of each pole pays."""
     least = chi2.isf(FREE_CHANCE, 2 * fit.lines.inputs * fit.lines.outputs)
-    return np.array([fit.forced_gain(i) > least for i in range(len(fit.poles))], dtype=np.bool_)
+    return fit.explained(forced=True) > least
 
 
-def _threshold(lines: Lines, noise: LineNoise | None) -> float:
+def _threshold(lines: Lines, noise: LineNoise) -> float:
     """What a pole must explain; errors that pass through the model are one error of all outputs, and count for each."""
-    if noise is not None and noise.passes_through:
+    if noise.passes_through:
         return float(lines.outputs * chi2.isf(CHANCE, 2 + lines.per_pole))
     return float(chi2.isf(CHANCE, 2 + lines.outputs * lines.per_pole))
 
@@ -187,7 +241,7 @@ def _searched(lines: Lines, most: int, progress: Callable[[int], None]) -> LineF
     noise = noise_of(fit)
     while len(fit.poles) < most:
         before, count = noise, len(fit.poles)
-        fit = _added(lines, fit, candidates, min(most, count + AT_ONCE))
+        fit = _added(lines, fit, candidates, min(most, count + AT_ONCE), noise)
         progress(len(fit.poles))
         if len(fit.poles) < count + AT_ONCE:
             break
@@ -200,21 +254,26 @@ def _searched(lines: Lines, most: int, progress: Callable[[int], None]) -> LineF
     return fit
 
 
-def _added(lines: Lines, fit: LineFit, candidates: NDArray[np.complex128], most: int) -> LineFit:
-    """The fit with the candidates that pay, the best one first."""
-    least = _threshold(lines, None)
+def _added(lines: Lines, fit: LineFit, candidates: NDArray[np.complex128], most: int, noise: LineNoise) -> LineFit:
+    """The fit with the candidates that pay, beside this noise, the best one first."""
+    least = _threshold(lines, noise)
+    gains, are_new = fit.gains(candidates), True
     while len(fit.poles) < most and len(candidates):
-        gains, before = fit.gains(candidates), len(fit.poles)
+        if not are_new:
+            # a pole more changes the gains near it: those that were best are enough, until none of them pays
+            best = np.argsort(-gains)[:LOOKED_AT]
+            gains[best] = fit.gains(candidates[best])
         for i in np.argsort(-gains)[:3]:
             if gains[i] < 0.5 * least:
-                break
+                continue
             new = refined(lines, np.append(fit.poles, candidates[i]), 5, 0.1)
             if fit.misfit - new.misfit > least:
-                fit = new
-                candidates = candidates[gains > 0.02 * least] if len(candidates) > 40 else candidates
+                fit, are_new = new, False
                 break
-        if len(fit.poles) == before:
-            break
+        else:
+            if are_new:
+                break
+            gains, are_new = fit.gains(candidates), True
     return fit
 
 
@@ -238,20 +297,21 @@ def _settled(
     return fit, noise
 
 
-def _chosen(lines: Lines, poles: NDArray[np.complex128]) -> LineFit:
-    """Of these poles the set that pays by the likelihood in which each set has its own noise."""
-    empty = LineFit.at(lines, np.zeros(0, dtype=np.complex128))
-    path, left = [_Set(empty.poles, noise_of(empty))], list(poles)
-    while left:
+def _chosen(lines: Lines, start: LineFit, more: NDArray[np.complex128]) -> tuple[LineFit, LineNoise]:
+    """Of the poles of a fit and `more` the set that pays by the likelihood in which each set has its own noise.
+
+    Returned with this noise.
+    """
+    path, left, costs = [_Set(start.poles, noise_of(start))], list(more), list[float]()
+    while True:
+        costs.append(path[-1].noise.cost + _threshold(lines, path[-1].noise) * len(path[-1].poles))
+        if not left or len(path) - int(np.argmin(costs)) > IN_VAIN:
+            break
         lines.deviation = np.sqrt(path[-1].noise.variance)
         now = LineFit.at(lines, path[-1].poles)
         next_pole = left.pop(int(np.argmax(now.gains(np.array(left)))))
         fit, noise = _settled(lines, np.append(now.poles, next_pole), 2, 4, 0.5)
         path.append(_Set(fit.poles, noise))
-        costs = [one.noise.cost + _threshold(lines, one.noise) * len(one.poles) for one in path]
-        if len(path) - int(np.argmin(costs)) > IN_VAIN:
-            break
-    costs = [one.noise.cost + _threshold(lines, one.noise) * len(one.poles) for one in path]
     best = path[int(np.argmin(costs))]
     lines.deviation = np.sqrt(best.noise.variance)
     fit, noise = _settled(lines, best.poles, 2, 15, 0.1)
@@ -259,12 +319,11 @@ def _chosen(lines: Lines, poles: NDArray[np.complex128]) -> LineFit:
         least = _threshold(lines, noise)
         lines.deviation = np.sqrt(noise.variance)
         fit = LineFit.at(lines, fit.poles)
-        without = [np.delete(fit.poles, i) for i in range(len(fit.poles))]
-        losses = np.array([LineFit.at(lines, each).misfit for each in without]) - fit.misfit
+        losses = fit.explained()
         for i in np.argsort(losses)[:3]:
             if losses[i] > 30 * least:
                 continue
-            new = refined(lines, without[i], 6, 0.1)
+            new = refined(lines, np.delete(fit.poles, i), 6, 0.1)
             its_noise = noise_of(new)
             if its_noise.cost - noise.cost < least:
                 lines.deviation = np.sqrt(its_noise.variance)
@@ -273,7 +332,7 @@ def _chosen(lines: Lines, poles: NDArray[np.complex128]) -> LineFit:
         else:
             break
     lines.deviation = np.sqrt(noise.variance)
-    return refined(lines, fit.poles, 5, 0.1)
+    return refined(lines, fit.poles, 5, 0.1), noise
 
 
 def _candidates(lines: Lines, responses: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_sysid.fitting.curve_fit import stacked
-from abrace_sysid.fitting.pole_basis import forced, transients
+from abrace_sysid.fitting.pole_basis import transients
 from abrace_sysid.fitting.pole_estimate import columns_of
 
 if TYPE_CHECKING:
@@ -210,7 +210,7 @@ def _residues(
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
     """(channels, poles, inputs) residues of each input alone, and (channels,) rms of the residual."""
     z, count = observation.z, len(observation.inputs)
-    states = forced(poles, z, observation.samplings, observation.excitation, delays)
+    states = observation.states(poles, delays)
     basis: list[NDArray[np.complex128]] = [*states, *observation.excitation.T]
     if observation.transient:
         basis += transients(poles, z, observation.samplings[0])

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Delays of single outputs against the inputs: the time shift with which known modes explain an output best.
+"""Delays of single channels: the time shift with which known modes explain an output, or the outputs, best.
 
 The modes' shapes are complex and free, and follow a delay at each resonance. Between and beside the resonances they
 cannot: a delay there multiplies the tails of all modes and the direct terms by exp(-i w t). So the likelihood over the
-shift of one output has a maximum at its delay, whatever the output measures.
+shift of one output has a maximum at its delay, whatever the output measures. With several inputs, one of them can act
+late against the first: then the shift is that of its column.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy import optimize
 
 from abrace_sysid.fitting.curve_fit import stacked
 from abrace_sysid.fitting.pole_basis import forced, transients
@@ -26,8 +29,9 @@ if TYPE_CHECKING:
 MOST_SAMPLES, GRID = 8, 0.25
 """Greatest delay that is searched, and the steps of the search, in samples."""
 
-MODEL_ERROR = 0.02
-"""Standard deviation [samples] that the tails of modes above the band, and the ends of a record, add."""
+MODEL_ERROR, OF_INPUT = 0.02, 0.15
+"""Standard deviation [samples] that the tails of modes above the band, and the ends of a record, add: of an output; of
+an input, of which each output's shapes can take up the most."""
 
 CERTAIN = 5.0
 """A delay is claimed from so many standard deviations on."""
@@ -41,15 +45,15 @@ SETTLED = 0.02
 ITERATIONS = 8
 """Most Gauss-Newton steps to the maximum near that of the search."""
 
-LINES = 4000
-"""Approximate number of a record's lines that are used."""
+LINES, FEW_LINES = 4000, 1000
+"""Approximate number of a record's lines that are used: for outputs, and for inputs, where all is computed anew."""
 
 PIECES = 16
 """Parts of the band whose scores are taken as independent, for the standard deviation."""
 
 
 class Delay(NamedTuple):
-    """A delay [s] of an output, positive if it is late, with its standard deviation.
+    """A delay [s] of an output, positive if it is late, or of an input's action, with its standard deviation.
 
     `left` is the share that remains, with it, of the power that the modes alone do not explain.
     """
@@ -82,17 +86,7 @@ def output_delays(observations: Sequence[Observation], poles: NDArray[np.complex
     """
     records = [one.thinned(LINES) for one in observations]
     period = records[0].samplings[0].sample_period
-    bases = []
-    for one in records:
-        columns: list[NDArray[np.complex128]] = [
-            *forced(poles, one.z, one.samplings, one.excitation),
-            *one.excitation.T,
-        ]
-        columns += transients(poles, one.z, one.samplings[0])
-        # the shift is circular: samples that leave at one end of the record come in at the other
-        columns += [one.z ** float(sample) for sample in range(-MOST_SAMPLES, MOST_SAMPLES + 1)]
-        basis = stacked(np.column_stack(columns).astype(np.complex128) / one.noise_level[:, None])
-        bases.append(np.linalg.qr(basis / np.linalg.norm(basis, axis=0))[0])
+    bases = [_basis(one, poles) for one in records]
 
     def left_over(record: int, lines: NDArray[np.complex128]) -> NDArray[np.float64]:
         q, values = bases[record], stacked(lines / records[record].noise_level[:, None])
@@ -126,3 +120,54 @@ def output_delays(observations: Sequence[Observation], poles: NDArray[np.complex
         left = float(np.exp((least - cost[len(grid) // 2]) / lines))
         found.append(Delay(seconds, float(np.hypot(random, MODEL_ERROR * period)), left))
     return tuple(found)
+
+
+def input_delays(observations: Sequence[Observation], poles: NDArray[np.complex128]) -> tuple[Delay, ...]:
+    """By how much each input after the first acts later than the first, on all outputs.
+
+    Parameters
+    ----------
+    observations, poles
+        As for `output_delays`.
+    """
+    records = [one.thinned(FEW_LINES) for one in observations]
+    period = records[0].samplings[0].sample_period
+    lines = sum(one.measured.size for one in records)
+
+    def cost(seconds: float, number: int) -> float:
+        """-log likelihood of all outputs, each with its own noise."""
+        found = 0.0
+        for one in records:
+            excitation = one.excitation.copy()
+            excitation[:, number] *= np.exp(-1j * one.omega * seconds)
+            q = _basis(replace(one, excitation=excitation), poles)
+            values = stacked(one.measured / one.noise_level[:, None])
+            power = np.sum((values - q @ (q.T @ values)) ** 2, axis=0)
+            found += len(one.z) * float(np.sum(np.log(np.maximum(power, np.finfo(float).tiny))))
+        return found
+
+    found = []
+    for number in range(1, len(records[0].inputs)):
+        grid = np.arange(-MOST_SAMPLES, MOST_SAMPLES + 2 * GRID, 2 * GRID) * period
+        costs = [cost(seconds, number) for seconds in grid]
+        first, step = grid[int(np.argmin(costs))], 2 * GRID * period
+        around = first - step, first + step
+        near = optimize.minimize_scalar(
+            cost, bounds=around, args=(number,), method="bounded", options={"xatol": 0.002 * period}
+        )
+        before, after = (cost(near.x + side * 0.1 * period, number) for side in (-1, 1))
+        curvature = (before + after - 2 * near.fun) / (0.1 * period) ** 2
+        random = 1 / np.sqrt(curvature) if curvature > 0 else np.inf
+        left = float(np.exp((near.fun - costs[len(grid) // 2]) / lines))
+        found.append(Delay(float(near.x), float(np.hypot(random, OF_INPUT * period)), left))
+    return tuple(found)
+
+
+def _basis(one: Observation, poles: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """(2 lines, columns) orthogonal: what these poles, the inputs and a record's ends can make."""
+    columns: list[NDArray[np.complex128]] = [*forced(poles, one.z, one.samplings, one.excitation), *one.excitation.T]
+    columns += transients(poles, one.z, one.samplings[0])
+    # the shift is circular: samples that leave at one end of the record come in at the other
+    columns += [one.z ** float(sample) for sample in range(-MOST_SAMPLES, MOST_SAMPLES + 1)]
+    basis = stacked(np.column_stack(columns).astype(np.complex128) / one.noise_level[:, None])
+    return np.asarray(np.linalg.qr(basis / np.linalg.norm(basis, axis=0))[0])

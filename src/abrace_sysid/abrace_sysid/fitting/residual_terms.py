@@ -35,6 +35,7 @@ def fit_with_residual_terms(
     poles: NDArray[np.complex128],
     iterations: int = ITERATIONS,
     spread: Literal["none", "modes"] = "modes",
+    with_above: bool = True,
 ) -> PoleEstimate:
     """As `fit_poles`, with residual terms of the modes above the band: one pair with a fixed pole for each input.
 
@@ -48,8 +49,10 @@ def fit_with_residual_terms(
         Greatest number of steps.
     spread
         As for `fit_poles`.
+    with_above
+        Whether there are such terms.
     """
-    above, inputs = residual_poles(observations[0]), len(observations[0].inputs)
+    above, inputs = residual_poles(observations[0])[: None if with_above else 0], len(observations[0].inputs)
     fixed = np.arange(len(poles) + len(above)) >= len(poles)
     driven = np.ones((len(poles) + len(above), inputs), dtype=np.bool_)
     driven[len(poles) :] = np.eye(len(above), inputs, dtype=np.bool_)
