@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import lqg_accuracy
 from ambient_accuracy import verify_ambient
 from bag_accuracy import verify_bags, verify_conformance, verify_cuts
+from battery import verify_battery
 from benchmark_buildings import verify_benchmark20
 from bridge_claims import verify_bridge
 from buildings import verify_buildings
@@ -72,6 +73,9 @@ def parts(record: Path | None, measured: Path | None, robot_arm: Path | None) ->
         "files": Part(("files",), "records as other people write them: read exactly, or refused", verify_files),
         "identification": Part(
             ("identification",), "poles, intervals, prediction against the simulated rig", verify_identification
+        ),
+        "battery": Part(
+            ("battery",), "320 random structures by the names alone, beside N4SID of the true order", verify_battery
         ),
         "paper_method": Part(
             ("paper_method",), "the paper's own method on the demo's tests, beside ours", verify_paper_method
