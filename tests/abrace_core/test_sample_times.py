@@ -118,7 +118,7 @@ def sampling(times, name="time [s]", given=None):
     [
         (
             EVEN + 3.0 * (NUMBERS >= 2000),
-            "row 2001: time step 3.01 s, expected equal steps of 0.01 s, after sample 1999: samples are missing, or the",
+            "row 2001: time step 3.01 s, expected equal steps of 0.01 s, after sample 1999: samples are missing, or",
         ),
         (
             EVEN - 1.2 * (NUMBERS >= 2000),
