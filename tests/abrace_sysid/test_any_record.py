@@ -204,6 +204,44 @@ def test_the_gradient_is_that_of_the_cost(lines):
         assert gradient[number] == pytest.approx((costs[0] - costs[1]) / 2e-5, rel=1e-3)
 
 
+def test_the_curvature_is_that_of_the_residuals(lines):
+    start = parameters_of(TRUE)
+    slopes = []
+    for number in range(start.size):
+        step = np.zeros(start.size)
+        step[number] = 1e-5
+        ends = [LineFit.at(lines, poles_of(start + sign * step.reshape(start.shape))).residual for sign in (1, -1)]
+        slopes.append((ends[0] - ends[1]).ravel() / 2e-5)
+    expected = np.array(slopes) @ np.array(slopes).T
+    scale = np.sqrt(np.diag(expected))
+    difference = (LineFit.at(lines, TRUE).curvature()[0] - expected) / np.outer(scale, scale)
+    assert np.abs(difference).max() < 0.02
+
+
+def test_what_a_pole_explains_is_what_the_fit_without_it_leaves_more(lines):
+    three = LineFit.at(lines, TRUE)
+    without = [LineFit.at(lines, np.delete(TRUE, i)).misfit - three.misfit for i in range(3)]
+    assert three.explained() == pytest.approx(without, rel=1e-3)
+    columns = np.hstack([lines.columns(TRUE), lines.fixed])
+    weight = np.sqrt(2) / np.tile(lines.deviation, (2, 1))
+    measured = np.vstack([lines.measured.real, lines.measured.imag]) * weight
+    for i, explained in enumerate(three.explained(forced=True)):
+        first, left = lines.per_pole * i, 0.0
+        unforced = np.delete(columns, range(first, first + 2 * lines.inputs), axis=1)
+        for own, each in zip(weight.T, measured.T, strict=True):
+            left += np.linalg.lstsq(unforced * own[:, None], each, rcond=None)[1][0]
+        assert left - three.misfit == pytest.approx(explained, rel=1e-3)
+
+
+def test_modes_above_the_band_have_a_pair_only_if_there_are_any():
+    def order(band):
+        options = DataOptions(inputs=("force",), sample_rate=RATE, band=band)
+        return identify_data(options.read(record("noise"))[0], options).model.order
+
+    assert order((0.0, 0.0)) == 2 * len(TRUE)
+    assert order((0.5, 7.0)) > 2 * np.count_nonzero(FREQUENCY < 7)
+
+
 def test_the_gain_of_a_candidate_is_what_the_fit_with_it_explains_more(lines):
     two = LineFit.at(lines, TRUE[:2])
     three = LineFit.at(lines, np.append(two.poles, TRUE[2]))
