@@ -12,7 +12,9 @@ from abrace_core import AbraceError
 from abrace_sysid.data_identification import DataOptions, identify_data, observed, variance_accounted_for
 from abrace_sysid.fitting.line_fit import LineFit, Lines, parameters_of, poles_of, refined
 from abrace_sysid.fitting.line_noise import noise_of
-from abrace_sysid.fitting.mode_search import find_modes
+from abrace_sysid.fitting.mode_search import _candidates, find_modes
+from abrace_sysid.recorded.test import Test
+from abrace_sysid.spectra.estimation import frequency_responses
 
 FREQUENCY, DAMPING = np.array([2.1, 5.3, 8.2]), np.array([0.012, 0.006, 0.01])
 SHAPES, DRIVE = np.array([[1.0, 0.8, -0.5], [0.6, -0.9, 0.9]]), np.array([1.0, 0.7, -0.9])
@@ -222,7 +224,8 @@ def test_what_a_pole_explains_is_what_the_fit_without_it_leaves_more(lines):
     three = LineFit.at(lines, TRUE)
     without = [LineFit.at(lines, np.delete(TRUE, i)).misfit - three.misfit for i in range(3)]
     assert three.explained() == pytest.approx(without, rel=1e-3)
-    columns = np.hstack([lines.columns(TRUE), lines.fixed])
+    columns = lines.columns(TRUE).beside(lines.fixed)
+    columns = columns.times(np.eye(columns.count))
     weight = np.sqrt(2) / np.tile(lines.deviation, (2, 1))
     measured = np.vstack([lines.measured.real, lines.measured.imag]) * weight
     for i, explained in enumerate(three.explained(forced=True)):
@@ -306,3 +309,104 @@ def test_the_modes_of_two_records_are_as_certain_as_of_one_twice_as_long():
     both = find_modes(observed(records, (0.0, 20.0)), NONE, 20)
     assert both.is_mode.all()
     assert np.abs(both.poles) == pytest.approx(np.abs(TRUE), rel=1e-3)
+
+
+def setup(names, seed, kind="noise"):
+    """A record of the force and of these outputs alone."""
+    columns = record(kind, seed=seed)
+    return replace(read({name: columns[name] for name in ("force", *names)}), source=f"setup {seed}")
+
+
+def test_records_with_other_outputs_make_one_model():
+    setups = [setup(["y1"], 3), setup(["y2"], 4, "hits"), setup(["y1"], 5)]
+    found = identify_data(setups)
+    assert found.model.outputs == ("y1", "y2")
+    assert [one.frequency for one in found.pairs] == pytest.approx(2 * np.pi * FREQUENCY, rel=1e-3)
+    assert [one.damping for one in found.pairs] == pytest.approx(DAMPING, rel=0.05)
+    for one, truth in zip(found.pairs, 2 * np.pi * FREQUENCY, strict=True):
+        assert abs(one.frequency - truth) < 4 * one.frequency_deviation
+    both = zip(found.pairs, identify_data(setups[0]).pairs, strict=True)
+    assert all(one.damping_deviation < 0.8 * alone.damping_deviation for one, alone in both)
+    whole = read(record("noise", noise=0.0, seed=9))
+    assert variance_accounted_for(found.model, whole).min() > 0.999
+    # each output from the records that have it
+    assert variance_accounted_for(found.model, setups) == pytest.approx(
+        [
+            variance_accounted_for(found.model.select([name]), [one for one in setups if name in one.names])[0]
+            for name in ("y1", "y2")
+        ],
+        abs=1e-12,
+    )
+    with pytest.raises(AbraceError, match="setup 4: no channel 'y1', it has y2"):
+        variance_accounted_for(found.model, setups[1])
+    (response,) = found.responses
+    (of_first,) = frequency_responses([setups[0], setups[2]], ["force"], found.band)
+    assert response.outputs == ("y1", "y2")
+    assert response.select(["y1"]).response == pytest.approx(of_first.response, rel=1e-9)
+
+
+def test_a_sensor_that_is_dead_in_one_record_is_used_in_the_other():
+    whole, broken = read(record("noise", seed=3)), read(record("noise", seed=4))
+    broken.outputs[:, 1] = 0.7
+    found = identify_data([whole, replace(broken, source="second day")])
+    assert found.model.outputs == ("y1", "y2")
+    assert "second day: channel y2 is left out: never changes from 0.7" in found.warnings
+    assert [one.names for one in found.records] == [("y1", "y2"), ("y1",)]
+
+
+def test_noise_of_outputs_that_other_records_have_is_each_record_s_own():
+    loud = read(record("noise", noise=0.3, seed=4))
+    both = Lines(observed([setup(["y1"], 3), loud.select(["y2", "y1"])], (0.0, 20.0)), NONE)
+    noise = np.sqrt(noise_of(LineFit.at(both, TRUE)).variance)
+    quiet, second = (np.median(noise[rows], axis=0) for rows in both.rows)
+    assert second[0] / quiet[0] == pytest.approx(30, rel=0.3)
+    assert both.present.tolist() == [[True, False], [True, True]]
+    assert both.values == len(both.omega) + len(both.observations[1].omega)
+
+
+def test_a_delay_that_shapes_explain_as_well_has_a_wide_interval():
+    random = np.random.default_rng(3)
+    stiffness = 4000 * (2 * np.eye(4) - np.eye(4, k=1) - np.eye(4, k=-1))
+    stiffness[3, 3] = 4000
+    size, shapes = np.linalg.eigh(stiffness)
+    damping = shapes @ np.diag(0.02 * np.sqrt(size)) @ shapes.T
+    a = np.block([[np.zeros((4, 4)), np.eye(4)], [-stiffness, -damping]])
+    held = signal.cont2discrete((a, np.eye(8)[:, 7:], a[4:], np.eye(4)[:, 3:]), 0.01)
+    force = random.standard_normal(8000)
+    moved = signal.dlsim((*held[:4], 0.01), force)[1]
+    moved = moved + 0.05 * moved.std(axis=0) * random.standard_normal(moved.shape)
+    columns = {"force": force, "a2": np.roll(moved[:, 1], 2), "a4": moved[:, 3]}
+    found = identify_data(Test.from_arrays(columns, ["force"], sample_rate=100.0, hold="zero"))
+    delay = found.delays["a2"]
+    assert abs(delay.seconds - 0.02) < delay.apart
+    assert f"± {delay.apart / 0.01:.2f} samples" in found.warnings[0]
+
+
+def test_columns_of_records_multiply_as_the_whole_matrix_does():
+    random = np.random.default_rng(2)
+    records = [setup(["y1"], 3), setup(["y2"], 4)]
+    lines = Lines(observed(records, (0.0, 6.0)), NONE)
+    some, others = lines.columns(TRUE).beside(lines.fixed), lines.columns(TRUE, slopes=True)
+    dense, beside = (each.times(np.eye(each.count)) for each in (some, others))
+    half, rows = len(lines.omega), lines.rows[0]
+    assert np.count_nonzero(dense.any(axis=0)) == dense.shape[1]
+    decay = 2 * lines.inputs + np.arange(2)
+    assert dense[rows][:, decay].all()
+    assert not dense[lines.rows[1]][:, decay].any()
+    weight = random.uniform(1, 2, 2 * half)
+    weight[rows], weight[half:][rows] = 0.0, 0.0
+    heavy, right = weight[:, None] * dense, random.normal(size=(2 * half, 2))
+    assert some.weighted(weight).onto(right) == pytest.approx(heavy.T @ right, rel=1e-9, abs=1e-9)
+    assert np.tril(some.weighted(weight).squares()) == pytest.approx(np.tril(heavy.T @ heavy), rel=1e-9, abs=1e-9)
+    assert some.products(others) == pytest.approx(dense.T @ beside, rel=1e-9, abs=1e-9)
+    assert some.times(np.ones((some.count, 1)))[:, 0] == pytest.approx(dense.sum(axis=1), rel=1e-9, abs=1e-9)
+
+
+def test_the_candidates_of_many_records_are_those_of_one():
+    hits = [read(record("hit", seed=seed)) for seed in range(6)]
+    counts = [len(candidates(Lines(observed(each, (0.0, 20.0)), NONE))) for each in (hits[:1], hits)]
+    assert counts[1] < 1.5 * counts[0]
+
+
+def candidates(lines):
+    return _candidates(lines, lines.measured)[0]

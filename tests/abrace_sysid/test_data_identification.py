@@ -293,8 +293,7 @@ def test_units_of_two_sensors_of_a_floor_are_guessed_and_said(of_a, of_x, stated
     fit = PoleEstimate(
         poles, nan, 0.0, 9, 4, ("w",), ("x1", "a1"), drive, shapes, np.zeros((2, 1)), np.array([nan[0, 0]])
     )
-    test = Test("day", 0.01, ("w",), ("x1", "a1"), np.zeros((9, 1)), np.zeros((9, 2)), stated)
-    found = other_units(fit, test)
+    found = other_units(fit, stated, "day")
     assert [one.verdict for one in found] == [Verdict.CARE] * bool(said)
     assert all(one.meaning.startswith(said) for one in found)
 

@@ -21,13 +21,14 @@ from scipy import fft
 
 from abrace_core import AbraceError
 from abrace_core.files.options import NOT_GIVEN, Band, Names
+from abrace_core.model import signals
 from abrace_core.model.discretization import discretize
 from abrace_core.model.linear_model import takes_models
 from abrace_core.model.simulation import simulate
 from abrace_sysid.examination import prepared
 from abrace_sysid.fitting.clocks import clock_of
 from abrace_sysid.fitting.mode_search import find_modes
-from abrace_sysid.fitting.observation import Observation, Record
+from abrace_sysid.fitting.observation import Observation, Record, names_of
 from abrace_sysid.fitting.output_delays import SETTLED, Delay, input_delays, output_delays
 from abrace_sysid.fitting.residual_terms import fit_with_residual_terms, residual_poles
 from abrace_sysid.fitting.vector_fitting import HEAVY_DAMPING
@@ -142,7 +143,7 @@ class DataIdentification:
     tests
         The records as measured, examined.
     records
-        The records used, without the channels that do not respond to the inputs, the others moved in time.
+        The records used, each without its channels that do not respond to the inputs, the others moved in time.
     band
         [Hz] of the transfer functions: what the inputs excite, or as given.
     responses
@@ -225,7 +226,8 @@ class DataIdentification:
 
         The delays that all outputs have, and those of inputs, are in the model.
         """
-        return test.in_time(_moves(self.delays, test, self.model.input_delay))
+        model = self.model
+        return test.in_time(_moves(self.delays, model.inputs[0], model.outputs, model.input_delay))
 
 
 def identify_data(
@@ -238,7 +240,8 @@ def identify_data(
     Parameters
     ----------
     data
-        One or several records; all inputs may be excited at once, by signals that are not proportional.
+        One or several records with the same inputs, each with its own outputs where sensors were moved between them;
+        all inputs may be excited at once, by signals that are not proportional.
     options
         By default those of `DataOptions`.
     progress
@@ -249,7 +252,7 @@ def identify_data(
     AbraceError
         If the data or an option cannot be used, or no stable model is found.
     """
-    tests = of_one_rig(data)
+    tests = of_one_rig(data, alike=["inputs"])
     inputs = tests[0].inputs
     options = options or DataOptions(inputs=inputs)
     for test in tests:
@@ -261,8 +264,7 @@ def identify_data(
         band = max(low for low, _ in bands), min(high for _, high in bands)
     progress("checking the data", 0.0)
     tests = tuple(prepared(test, dict.fromkeys(inputs, band)) for test in tests)
-    dead = {name for test in tests for name in test.faults}
-    alive = [test.select([name for name in test.names if name not in dead]) for test in tests]
+    alive = [test.select([name for name in test.names if name not in test.faults]) for test in tests]
     # lines with little input hold free decays and noise, and tell about these; far above the input they say nothing
     fitted = band
     if options.band == NOT_GIVEN:
@@ -304,8 +306,10 @@ def identify_data(
             f"{_sources(tests)}: no mode from {fitted[0]:.4g} to {fitted[1]:.4g} Hz: nothing that the inputs cause "
             "there stands out of the noise"
         )
-    late = _input_delay(delays, alive[0])
-    used = tuple(one.in_time(_moves(delays, one, late)) for one in alive)
+    outputs = names_of(observed(alive, band))[1]
+    late = _input_delay(delays, inputs, outputs)
+    moves = _moves(delays, inputs[0], outputs, late)
+    used = tuple(one.in_time(moves) for one in alive)
     if delays:
         responses = frequency_responses(used, inputs, band, options)
     progress("maximum likelihood", 0.9)
@@ -319,7 +323,7 @@ def identify_data(
         "method": responses[0].method,
         "options": options.model_dump(),
         "hold": tests[0].hold,
-        "output_delays": _moves(delays, alive[0], late),
+        "output_delays": moves,
         "states": f"{len(found.poles)} pairs by maximum likelihood, {np.count_nonzero(found.is_mode)} of them modes"
         + (", and one pair for each input that represents modes above" if more else ""),
     }
@@ -391,19 +395,20 @@ def _all_in_time(record: Test, delays: Mapping[str, Delay]) -> Test:
 
 def _delays(records: Sequence[Test], band: tuple[float, float], poles: NDArray[np.complex128]) -> dict[str, Delay]:
     """The certain delays, by channel. The modes fitted without them are refined with them in turn."""
-    poles, inputs, period = _modes_alone(poles, band), records[0].inputs, records[0].sample_period
+    poles, period = _modes_alone(poles, band), records[0].sample_period
+    inputs, outputs = names_of(observed(records, band))
     found: dict[str, Delay] = {}
     for turn in range(ROUNDS if len(poles) else 0):
         change = 0.0
-        for names, delays_of in ((inputs[1:], input_delays), (records[0].names, output_delays)):
+        for names, delays_of in ((inputs[1:], input_delays), (outputs, output_delays)):
             if not names or (turn and found.keys().isdisjoint(names)):
                 continue
             whole = observed([_all_in_time(one, found) for one in records], band)
             steps = delays_of(whole, np.concatenate([poles, residual_poles(whole[0])[:1]]))
             for name, step in zip(names, steps, strict=True):
                 if name in found:
-                    seconds, left = found[name].seconds + step.seconds, found[name].left
-                    found[name] = Delay(seconds, step.deviation, left)
+                    seconds = found[name].seconds + step.seconds
+                    found[name] = step._replace(seconds=seconds, left=found[name].left)
                     change = max(change, abs(step.seconds))
                 elif not turn and step.is_certain:
                     found[name] = step
@@ -422,8 +427,8 @@ def _clocks(model: LinearModel, records: Sequence[Test]) -> dict[str, Clock]:
     """The clocks that certainly differ from the inputs', by output, from the record that tells most about each."""
     found: dict[str, Clock] = {}
     for one in records:
-        foreseen, measured = predicted(model, one), one.channels(model.outputs)
-        for name, *both in zip(model.outputs, measured.T, foreseen.T, strict=True):
+        foreseen, measured = predicted(model.select(one.names), one), one.channels(one.names)
+        for name, *both in zip(one.names, measured.T, foreseen.T, strict=True):
             clock = clock_of(*both)
             if name not in found or clock.deviation < found[name].deviation:
                 found[name] = clock
@@ -436,17 +441,19 @@ def _modes_alone(poles: NDArray[np.complex128], band: tuple[float, float]) -> ND
     return poles[(-poles.real < HEAVY_DAMPING * size) & (size < 2 * np.pi * band[1]) & (poles.imag > 0)]
 
 
-def _input_delay(delays: Mapping[str, Delay], record: Test) -> tuple[float, ...]:
-    """The delays [s] of a record's inputs, none before 0: what all outputs have, and what each input has."""
-    common = max(0.0, min(delays[name].seconds if name in delays else 0.0 for name in record.names))
-    own = [delays[name].seconds if name in delays else 0.0 for name in record.inputs]
+def _input_delay(delays: Mapping[str, Delay], inputs: Sequence[str], outputs: Sequence[str]) -> tuple[float, ...]:
+    """The delays [s] of the inputs, none before 0: what all outputs have, and what each input has."""
+    common = max(0.0, min(delays[name].seconds if name in delays else 0.0 for name in outputs))
+    own = [delays[name].seconds if name in delays else 0.0 for name in inputs]
     return tuple(common + each - min(own) for each in own)
 
 
-def _moves(delays: Mapping[str, Delay], record: Test, late: Sequence[float]) -> dict[str, float]:
-    """How late [s] the outputs of a record are beside the delays of the inputs."""
-    first = late[0] - (delays[record.inputs[0]].seconds if record.inputs[0] in delays else 0.0)
-    moves = {name: (delays[name].seconds if name in delays else 0.0) - first for name in record.names}
+def _moves(
+    delays: Mapping[str, Delay], first_input: str, outputs: Sequence[str], late: Sequence[float]
+) -> dict[str, float]:
+    """How late [s] the outputs are beside the delays of the inputs."""
+    first = late[0] - (delays[first_input].seconds if first_input in delays else 0.0)
+    moves = {name: (delays[name].seconds if name in delays else 0.0) - first for name in outputs}
     return {name: by for name, by in moves.items() if by}
 
 
@@ -460,33 +467,47 @@ def variance_accounted_for(
 ) -> NDArray[np.float64]:
     """(outputs,) 1 minus the ratio of the variances of prediction error and measured output, of what is in a band.
 
-    NaN: the output does not move, has a value that is not finite, or all outputs of a record together have no more
-    samples than the model has states, with which any initial state fits.
+    NaN: the output does not move, or has a value that is not finite, in one of the records that have it; or all outputs
+    of a record together have no more samples than the model has states, with which any initial state fits.
 
     Parameters
     ----------
     model, band
         As for `predicted`.
     data
-        One or several records, each with its own initial state.
+        One or several records, each with its own initial state; together they have all outputs of the model.
+
+    Raises
+    ------
+    AbraceError
+        If an output of the model is in no record.
     """
     records = (data,) if isinstance(data, Test) else tuple(data)
-    measured = [one.channels(model.outputs) for one in records]
-    share = np.full(len(model.outputs), np.nan)
-    if all(
-        each.size > model.order and np.isfinite(one.excitation).all()
-        for one, each in zip(records, measured, strict=True)
-    ):
-        moving = np.all([np.isfinite(each).all(axis=0) & (np.ptp(each, axis=0) > 0) for each in measured], axis=0)
-        names = [name for name, moves in zip(model.outputs, moving, strict=True) if moves]
-        if names:
-            missed, whole = 0.0, 0.0
-            for one, each in zip(records, measured, strict=True):
-                kept = _within(band, one, each[:, moving])
-                missed = missed + len(kept) * np.var(kept - predicted(model.select(names), one, band), axis=0)
-                whole = whole + len(kept) * np.var(kept, axis=0)
-            share[moving] = 1 - missed / whole
-    return share
+    signals.positions(
+        model.outputs, [name for one in records for name in one.names], f"{_sources(records)}: no channel"
+    )
+    missed, whole = np.zeros(len(model.outputs)), np.zeros(len(model.outputs))
+    for one in records:
+        known = _measured_of(model.outputs, one)
+        measured = one.channels([model.outputs[i] for i in known])
+        usable = np.isfinite(measured).all(axis=0) & (np.ptp(measured, axis=0) > 0)
+        if measured.size <= model.order or not np.isfinite(one.excitation).all():
+            usable[:] = False
+        missed[known[~usable]] = np.nan
+        if usable.any():
+            own = known[usable]
+            kept = _within(band, one, measured[:, usable])
+            left = kept - predicted(model.select([model.outputs[i] for i in own]), one, band)
+            missed[own] += len(kept) * np.var(left, axis=0)
+            whole[own] += len(kept) * np.var(kept, axis=0)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(1 - missed / whole)
+
+
+def _measured_of(outputs: Sequence[str], record: Test) -> NDArray[np.int64]:
+    """The indices of those of the outputs that a record has."""
+    there = set(map(signals.meaning, record.names))
+    return np.array([i for i, name in enumerate(outputs) if signals.meaning(name) in there], dtype=np.int64)
 
 
 @takes_models

@@ -128,7 +128,7 @@ def identify(
     for test in (*tables, *commands):
         require_rig(test)
         require_long(test)
-    of_one_rig((*tables, *commands), channels=False)
+    of_one_rig((*tables, *commands), alike=())
     options.require_possible(tables[0].floors, tables[0].groups)
     options = options.of_tests(tables, commands)
     names = tables[0].commands

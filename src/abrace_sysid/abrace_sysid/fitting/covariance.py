@@ -155,15 +155,18 @@ def _scores(likelihood: Likelihood, test: int, joint: Likelihood | None, in_time
     found = np.empty((parameters + len(kept) * len(likelihood.channels), lines))
     slopes, measured = (_in_time(rows) if in_time else rows for rows in (one.slopes, one.measured))
     basis, of_slopes, of_modes = slopes[:, :size], np.ascontiguousarray(slopes.T), found[:parameters]
-    of_modes[:] = 0
+    found[:] = 0
     for c, channel in enumerate(likelihood.channels):
-        left = measured[:, c] - basis @ channel.coefficients[own]
+        place = channel.places[test]
+        if place < 0:
+            continue
+        left = measured[:, place] - basis @ channel.coefficients[own]
         score = _product(of_slopes, left * (one.observation.weight / channel.power[test]))
         of_modes += one.derivatives(channel.coefficients, parameters) @ score
         of_modes -= channel.projection[own].T @ score[:size]
         if joint is not None:
             alike, first = joint.channels[c], parameters + c * len(kept)
-            left = (measured[:, c] - basis @ alike.coefficients[own]) / alike.power[test]
+            left = (measured[:, place] - basis @ alike.coefficients[own]) / alike.power[test]
             inverse = linalg.solve_triangular(alike.triangle, np.eye(len(alike.triangle)))
             found[first : first + len(kept)] = inverse[kept] @ inverse[own].T @ _product(of_slopes[:size], left)
     return found.T * (lines if in_time else 1)
@@ -187,8 +190,9 @@ def _product(slopes: NDArray[np.float64], residual: NDArray[np.float64]) -> NDAr
 def _leverage(likelihood: Likelihood, test: int) -> NDArray[np.float64]:
     """(lines,) leverage of each line: the share of its own error that the fit follows, mean of the channels."""
     one = likelihood.tests[test]
+    channels = [channel for channel in likelihood.channels if channel.places[test] >= 0]
     # the channels of one test have the same basis and differ by a factor alone
-    channels = likelihood.channels if len(likelihood.tests) > 1 else likelihood.channels[:1]
+    channels = channels if len(likelihood.tests) > 1 else channels[:1]
     leverage = np.zeros(len(one.basis))
     for channel in channels:
         inside = linalg.solve_triangular(channel.triangle, np.eye(len(channel.triangle)))[one.columns]

@@ -11,6 +11,7 @@ from scipy import linalg
 
 from abrace_sysid.fitting.condensed_lines import condensed
 from abrace_sysid.fitting.modes import LEAST_DELAY
+from abrace_sysid.fitting.observation import names_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,8 +40,12 @@ SAME_NOISE = 1e-3
 
 @dataclass(frozen=True)
 class _Channel:
-    """One channel in all tests: its coefficients, noise power in each test, residuals and derivatives."""
+    """One channel in all tests: coefficients, noise power in each test, residuals and derivatives.
 
+    `places` are its columns in the tests; -1: not measured, where the noise power is 1.
+    """
+
+    places: NDArray[np.int64]
     coefficients: NDArray[np.float64]
     power: NDArray[np.float64]
     residual: NDArray[np.float64]
@@ -149,10 +154,61 @@ class Likelihood:
         return found
 
 
+class _Stack:
+    """The rows of the tests that measure a channel, one above the other: those of their bases, then all others."""
+
+    def __init__(self, tests: Sequence[CondensedLines]) -> None:
+        self.tests = tests
+        self.columns = np.unique(np.concatenate([test.columns for test in tests]))
+        """Indices of the coefficients that the tests have."""
+        self.lines = np.array([len(test.measured) for test in tests])
+        self.counts = np.sqrt([test.observation.weight for test in tests])
+        # only the first rows of a triangular factor belong to the basis: the rows below are orthogonal to it
+        self._sizes = [test.basis.shape[1] for test in tests]
+        beneath = (len(test.small) - size for test, size in zip(tests, self._sizes, strict=True))
+        self._ends = np.cumsum([*self._sizes, *beneath])
+        self.above = int(self._ends[len(tests) - 1])
+        self._alone = self._factor(1 / self.counts) if len(tests) == 1 else None
+
+    def ordered(self, parts: Sequence[NDArray[np.float64]], relative: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Rows of all tests, divided by their relative noise."""
+        weighted = [part / weight for part, weight in zip(parts, relative, strict=True)]
+        both = list(zip(weighted, self._sizes, strict=True))
+        return np.concatenate([*(part[:size] for part, size in both), *(part[size:] for part, size in both)])
+
+    def power(self, left: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(tests,) mean square of these rows of each test."""
+        pieces = [piece @ piece for piece in np.split(left, self._ends[:-1])]
+        return np.asarray(np.array(pieces).reshape(2, -1).sum(axis=0) / self.lines)
+
+    def factor(
+        self, relative: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+        """Q, R and column scales of the stacked bases, each divided by its test's relative noise."""
+        return self._factor(relative) if len(self.tests) > 1 else self._alone
+
+    def _factor(
+        self, relative: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+        blocks = []
+        for test, weight in zip(self.tests, relative, strict=True):
+            rows = test.basis.shape[1]
+            block = np.zeros((rows, len(self.columns)))
+            block[:, np.searchsorted(self.columns, test.columns)] = test.parts[0][:rows] / weight
+            blocks.append(block)
+        above = np.vstack(blocks)
+        scale = np.linalg.norm(above, axis=0)
+        scale[scale == 0] = 1.0
+        q, r = np.linalg.qr(above / scale)
+        if not np.abs(np.diag(r)).min() > DEGENERATE:
+            return None
+        return q, r, scale
+
+
 def fit_channels(
     tests: Sequence[CondensedLines], parameters: int, powers: Sequence[NDArray[np.float64]] | None = None
 ) -> tuple[_Channel, ...] | None:
-    """Fit every channel to all `tests`: coefficients, and residuals and derivatives in units of the channel's noise.
+    """Fit every channel to the `tests` that measure it: coefficients, residuals and derivatives in units of its noise.
 
     Parameters
     ----------
@@ -167,67 +223,42 @@ def fit_channels(
         None if the basis is degenerate.
     """
     total = 1 + max(int(test.columns.max()) for test in tests)
-    lines = np.array([len(test.measured) for test in tests])
-    counts = np.sqrt([test.observation.weight for test in tests])
-    # only the first rows of the triangular factor belong to the basis: the rows below are orthogonal to it
-    sizes = [test.basis.shape[1] for test in tests]
-    ends = np.cumsum([*sizes, *(len(test.small) - size for test, size in zip(tests, sizes, strict=True))])
-    of_test = np.tile(np.arange(len(tests)), 2)
-    above = int(ends[len(tests) - 1])
-
-    def ordered(parts: Sequence[NDArray[np.float64]], relative: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Rows of all tests, divided by their relative noise; those of the bases first."""
-        weighted = [part / weight for part, weight in zip(parts, relative, strict=True)]
-        tops = [part[:size] for part, size in zip(weighted, sizes, strict=True)]
-        return np.concatenate([*tops, *(part[size:] for part, size in zip(weighted, sizes, strict=True))])
-
-    one = _factor(tests, 1 / counts, total) if len(tests) == 1 else None
+    stacks: dict[tuple[int, ...], _Stack] = {}
     found = []
-    for c in range(tests[0].measured.shape[1]):
-        small = [test.parts[2][:, c] for test in tests]
-        level = np.array([np.linalg.norm(part) for part in small]) / np.sqrt(lines)
+    for c, name in enumerate(names_of([test.observation for test in tests])[1]):
+        places = np.array([(*test.observation.outputs, name).index(name) for test in tests])
+        having = tuple(i for i, test in enumerate(tests) if places[i] < len(test.observation.outputs))
+        if having not in stacks:
+            stacks[having] = _Stack([tests[i] for i in having])
+        stack, own = stacks[having], list(having)
+        small = [tests[i].parts[2][:, places[i]] for i in own]
+        level = np.array([np.linalg.norm(part) for part in small]) / np.sqrt(stack.lines)
         if powers is not None:
-            level = np.sqrt(powers[c])
+            level = np.sqrt(powers[c][own])
         for _ in range(REWEIGHTINGS):
-            relative = level / level[0] / counts
-            factor = one if len(tests) == 1 else _factor(tests, relative, total)
+            relative = level / level[0] / stack.counts
+            factor = stack.factor(relative)
             if factor is None:
                 return None
             q, r, scale = factor
-            left = ordered(small, relative)
-            projected = q.T @ left[:above]
-            left[:above] -= q @ projected
-            power = np.zeros(len(tests))
-            for test, piece in zip(of_test, np.split(left, ends[:-1]), strict=True):
-                power[test] += piece @ piece
-            power /= lines
-            level = np.maximum(relative * np.sqrt(power), np.finfo(float).tiny)
-            if np.abs(level / level[0] / counts / relative - 1).max() < SAME_NOISE:
+            left = stack.ordered(small, relative)
+            projected = q.T @ left[: stack.above]
+            left[: stack.above] -= q @ projected
+            level = np.maximum(relative * np.sqrt(stack.power(left)), np.finfo(float).tiny)
+            if np.abs(level / level[0] / stack.counts / relative - 1).max() < SAME_NOISE:
                 break
-        coefficients = linalg.solve_triangular(r, projected) / scale
-        slopes = ordered([(test.derivatives(coefficients, parameters) @ test.parts[1].T).T for test in tests], relative)
-        on_basis = q.T @ slopes[:above]
-        projection = linalg.solve_triangular(r, on_basis) / scale[:, None]
+        coefficients, projection = np.zeros(total), np.zeros((total, parameters))
+        coefficients[stack.columns] = linalg.solve_triangular(r, projected) / scale
+        changes = [(test.derivatives(coefficients, parameters) @ test.parts[1].T).T for test in stack.tests]
+        slopes = stack.ordered(changes, relative)
+        on_basis = q.T @ slopes[: stack.above]
+        projection[stack.columns] = linalg.solve_triangular(r, on_basis) / scale[:, None]
         unit = level[0]
-        slopes[:above] -= q @ on_basis
-        found.append(_Channel(coefficients, level**2, left / unit, slopes / unit, projection, r * scale / unit))
+        slopes[: stack.above] -= q @ on_basis
+        triangle, power = np.eye(total), np.ones(len(tests))
+        triangle[np.ix_(stack.columns, stack.columns)] = r * scale / unit
+        power[own] = level**2
+        of_tests = np.full(len(tests), -1)
+        of_tests[own] = places[own]
+        found.append(_Channel(of_tests, coefficients, power, left / unit, slopes / unit, projection, triangle))
     return tuple(found)
-
-
-def _factor(
-    tests: Sequence[CondensedLines], relative: NDArray[np.float64], total: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
-    """Q, R and column scales of the tests' stacked bases, each divided by its relative noise."""
-    blocks = []
-    for test, weight in zip(tests, relative, strict=True):
-        rows = test.basis.shape[1]
-        block = np.zeros((rows, total))
-        block[:, test.columns] = test.parts[0][:rows] / weight
-        blocks.append(block)
-    above = np.vstack(blocks)
-    scale = np.linalg.norm(above, axis=0)
-    scale[scale == 0] = 1.0
-    q, r = np.linalg.qr(above / scale)
-    if not np.abs(np.diag(r)).min() > DEGENERATE:
-        return None
-    return q, r, scale

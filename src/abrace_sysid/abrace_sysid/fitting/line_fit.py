@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg
-from scipy.linalg import blas
 
 from abrace_sysid.fitting.curve_fit import stacked
-from abrace_sysid.fitting.observation import ENDS
+from abrace_sysid.fitting.observation import ENDS, names_of
 from abrace_sysid.fitting.pole_basis import forced, sides_of
+from abrace_sysid.fitting.record_columns import RecordColumns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,10 +54,12 @@ AT_A_TIME = 64
 class Lines:
     """The lines of all records, in units of each channel's rms, and the columns by which poles act on them.
 
+    An input that a record does not have is at rest in it; an output that it does not have is not fitted there.
+
     Parameters
     ----------
     observations
-        Of the records, with the same inputs and outputs.
+        Of the records.
     above
         Poles [rad/s] that represent modes above the lines; their residues are free.
     at_rest
@@ -65,10 +67,16 @@ class Lines:
 
     Attributes
     ----------
+    inputs, outputs
+        Their numbers.
+    driven, present
+        (records, inputs) and (records, outputs) which of them each record has.
+    places
+        Of each record, indices of its inputs among all.
     groups
-        Outputs whose noise has one spectrum.
+        Outputs of the same records whose noise has one spectrum.
     fixed
-        (2 lines, columns) those that do not depend on a pole, real parts above imaginary ones.
+        Columns that do not depend on a pole, real parts above imaginary ones.
     deviation
         (lines, outputs) standard deviation of the noise, of the outputs of a group in proportion.
     """
@@ -78,42 +86,87 @@ class Lines:
     ) -> None:
         self.at_rest = at_rest
         self.omega = np.concatenate([one.omega for one in observations])
-        sizes = [
-            np.sqrt(np.mean(np.abs(np.vstack([getattr(one, name) for one in observations])) ** 2, axis=0))
-            for name in ("excitation", "measured")
-        ]
-        units = dict(zip(observations[0].inputs, sizes[0], strict=True))
-        observations = [
-            replace(one.in_units(units), measured=one.measured / sizes[1], from_rest=at_rest) for one in observations
-        ]
-        self.excitation = np.vstack([one.excitation for one in observations])
-        self.measured = np.vstack([one.measured for one in observations])
-        self.observations = tuple(observations)
-        self.inputs, self.outputs = self.excitation.shape[1], self.measured.shape[1]
         ends = np.cumsum([0, *(len(one.omega) for one in observations)])
         self.rows = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
-        own = []
-        for one, rows in zip(observations, self.rows, strict=True):
-            for column in [*(one.z ** -float(sample) for sample in ENDS), one.z / (one.z - 1)]:
-                own.append(np.zeros(len(self.omega), dtype=np.complex128))
-                own[-1][rows] = column
-        tails = [
-            np.column_stack(forced(above[:1], one.z, one.samplings, one.excitation))
-            for one in observations
-            if len(above)
-        ]
-        self.fixed = stacked(np.column_stack([self.excitation, *([np.vstack(tails)] if tails else []), *own]))
-        alone = [np.array([o]) for o in range(self.outputs)]
-        self.groups = alone if self.outputs <= APART else [np.arange(self.outputs)]
+        inputs, outputs = names_of(observations)
+        self.inputs, self.outputs = len(inputs), len(outputs)
+        self.driven, self.present = (
+            np.array([np.isin(names, getattr(one, kind)) for one in observations])
+            for names, kind in ((inputs, "inputs"), (outputs, "outputs"))
+        )
+        self.places = [np.array([inputs.index(name) for name in one.inputs]) for one in observations]
+        self._shown = np.repeat(self.present, np.diff(ends), axis=0)
+        self.excitation, self.measured = (
+            np.zeros((len(self.omega), count), dtype=np.complex128) for count in (self.inputs, self.outputs)
+        )
+        for one, rows, places in zip(observations, self.rows, self.places, strict=True):
+            self.excitation[rows, places] = one.excitation
+            self.measured[rows, [outputs.index(name) for name in one.outputs]] = one.measured
+        units = np.sqrt(np.mean(np.abs(self.excitation) ** 2, axis=0))
+        self.excitation /= units
+        self.measured /= np.sqrt(np.sum(np.abs(self.measured) ** 2, axis=0) / np.sum(self._shown, axis=0))
+        unit = dict(zip(inputs, units, strict=True))
+        self.observations = tuple(replace(one.in_units(unit), from_rest=at_rest) for one in observations)
+        tails = [forced(above[:1], one.z, one.samplings, one.excitation) for one in self.observations]
+        of_inputs = self.inputs * (1 + 2 * len(above[:1]))
+        of_ends, blocks, kept = len(ENDS) + 1, [], []
+        for number, (one, each) in enumerate(zip(self.observations, tails, strict=True)):
+            ends_of_it = [*(one.z ** -float(sample) for sample in ENDS), one.z / (one.z - 1)]
+            blocks.append(stacked(np.column_stack([one.excitation, *each, *ends_of_it])))
+            inputs_of_it = self.places[number]
+            twice = (self.inputs + np.column_stack([2 * inputs_of_it, 2 * inputs_of_it + 1])).ravel()[: len(each)]
+            kept.append(np.concatenate([inputs_of_it, twice, of_inputs + of_ends * number + np.arange(of_ends)]))
+        self.fixed = self._columns(of_inputs + of_ends * len(blocks), kept, blocks)
+        self.groups = [np.array([o]) for o in range(self.outputs)]
+        if self.outputs > APART:
+            patterns = np.unique(self.present, axis=1).T
+            self.groups = [np.flatnonzero((each == self.present.T).all(axis=1)) for each in patterns]
         self.deviation = np.ones(self.measured.shape)
+
+    @property
+    def values(self) -> int:
+        """Number of complex values that were measured."""
+        return int(self._shown.sum())
+
+    @property
+    def forced_parts(self) -> int:
+        """Number of real unknowns of a pole's forced part: two for each input and output of one record."""
+        return 2 * int((self.driven.T.astype(int) @ self.present > 0).sum())
+
+    @property
+    def free_parts(self) -> int:
+        """Number of real unknowns of a pole's free decays: two for each output and record."""
+        return 2 * int(self.present.sum())
+
+    def level(self) -> NDArray[np.float64]:
+        """(lines,) the noise's standard deviation, over the outputs measured the geometric mean, median of each 1."""
+        relative = np.log(np.where(self._shown, self.deviation, np.nan))
+        return np.asarray(np.exp(np.nanmean(relative - np.nanmedian(relative, axis=0), axis=1)))
+
+    def weight(
+        self, deviation: NDArray[np.float64], group: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(2 lines,) weights of a group's first output, and (group,) deviations of its outputs in units of the first.
+
+        Parameters
+        ----------
+        deviation
+            (lines, outputs) of the noise.
+        group
+            One of the groups.
+        """
+        shown, first = self._shown[:, group[0]], deviation[:, group[0]]
+        line = int(np.argmax(shown))
+        weight = np.where(shown, np.sqrt(2) / first, 0.0)
+        return np.tile(weight, 2), deviation[line, group] / first[line]
 
     @property
     def per_pole(self) -> int:
         """Number of columns of a pole: two for each input and for each record."""
         return 2 * (self.inputs + len(self.rows))
 
-    def columns(self, poles: NDArray[np.complex128], slopes: bool = False) -> NDArray[np.float64]:
-        """(2 lines, per_pole poles) the columns of each pole, forced ones first; of all, or their derivatives by it.
+    def columns(self, poles: NDArray[np.complex128], slopes: bool = False) -> RecordColumns:
+        """The columns of each pole, forced ones first, `per_pole` of each; or their derivatives by it.
 
         Parameters
         ----------
@@ -122,21 +175,39 @@ class Lines:
         slopes
             Whether the derivatives are asked for.
         """
-        half, part = len(self.omega), int(slopes)
-        found = np.zeros((2 * half, self.per_pole * len(poles)), order="F")
-        for number, (one, rows) in enumerate(zip(self.observations, self.rows, strict=True)):
-            real, imaginary = found[rows], found[rows.start + half : rows.stop + half]
+        part, blocks, places = int(slopes), [], []
+        for number, one in enumerate(self.observations):
+            of_pole = self.of_record(number)
+            own, half = len(of_pole), len(one.omega)
+            block = np.empty((2 * half, own * len(poles)), order="F")
+            real, imaginary = block[:half], block[half:]
             for i, pole in enumerate(poles):
-                first, own = self.per_pole * i, sides_of(pole)
-                for j in range(self.inputs):
-                    above, below = (one.state(side, j)[part] for side in own)
-                    _fill(real, imaginary, first + 2 * j, above, below, -pole.real)
+                sides = sides_of(pole)
+                for j in range(len(one.inputs)):
+                    above, below = (one.state(side, j)[part] for side in sides)
+                    _fill(real, imaginary, own * i + 2 * j, above, below, -pole.real)
                 if not self.at_rest:
                     sampling = one.samplings[0]
-                    above, below = (sampling.transient(side, one.z)[part] for side in own)
+                    above, below = (sampling.transient(side, one.z)[part] for side in sides)
                     size = -pole.real * sampling.sample_period
-                    _fill(real, imaginary, first + 2 * (self.inputs + number), above, below, size)
-        return found
+                    _fill(real, imaginary, own * (i + 1) - 2, above, below, size)
+            blocks.append(block)
+            places.append((self.per_pole * np.arange(len(poles))[:, None] + of_pole).ravel())
+        return self._columns(self.per_pole * len(poles), places, blocks)
+
+    def of_record(self, number: int) -> NDArray[np.int64]:
+        """Which of a pole's columns the record of this number has."""
+        inputs = self.places[number]
+        decay = [] if self.at_rest else [2 * (self.inputs + number), 2 * (self.inputs + number) + 1]
+        return np.array([*np.column_stack([2 * inputs, 2 * inputs + 1]).ravel(), *decay])
+
+    def _columns(
+        self, count: int, places: Sequence[NDArray[np.int64]], blocks: Sequence[NDArray[np.float64]]
+    ) -> RecordColumns:
+        """So many columns, made of a block of each record."""
+        half = len(self.omega)
+        rows = tuple(np.concatenate([np.r_[each], half + np.r_[each]]) for each in self.rows)
+        return RecordColumns(2 * half, count, rows, tuple(places), tuple(blocks))
 
 
 def _fill(
@@ -181,8 +252,8 @@ class LineFit:
     residual
         (2 lines, outputs) in standard deviations of the noise.
     weighted, factors, norms
-        Of each group of outputs: (2 lines, coefficients) columns in standard deviations of its first output, Cholesky
-        factor of their products, and lengths, by which these are divided.
+        Of each group of outputs: columns in standard deviations of its first output, Cholesky factor of their products,
+        and lengths, by which these are divided.
     """
 
     lines: Lines
@@ -191,7 +262,7 @@ class LineFit:
     deviation: NDArray[np.float64]
     coefficients: NDArray[np.float64]
     residual: NDArray[np.float64]
-    weighted: tuple[NDArray[np.float64], ...]
+    weighted: tuple[RecordColumns, ...]
     factors: tuple[NDArray[np.float64], ...]
     norms: tuple[NDArray[np.float64], ...]
 
@@ -199,24 +270,24 @@ class LineFit:
     def at(cls, lines: Lines, poles: NDArray[np.complex128], usual: NDArray[np.float64] | None = None) -> LineFit:
         """The fit with these poles and the lines' present noise; dampings `usual` as in `LineFit`, None: as of any."""
         usual = np.tile((USUAL_DAMPING, FACTOR), (len(poles), 1)) if usual is None else usual
-        columns = np.concatenate([lines.columns(poles), lines.fixed], axis=1)
+        columns = lines.columns(poles).beside(lines.fixed)
         measured = stacked(lines.measured)
-        coefficients, residual = np.empty((columns.shape[1], lines.outputs)), np.empty_like(measured)
+        coefficients, residual = np.empty((columns.count, lines.outputs)), np.empty_like(measured)
         each, factors, norms = [], [], []
         for group in lines.groups:
-            weight, size = _weight(lines.deviation, group)
-            own = columns * weight
-            normal = blas.dsyrk(1.0, own, trans=1, lower=1)
+            weight, size = lines.weight(lines.deviation, group)
+            own = columns.weighted(weight)
+            normal = own.squares()
             norm = np.sqrt(np.diag(normal))
             norm[norm == 0] = 1.0
             normal /= norm[:, None] * norm
             normal[np.diag_indices_from(normal)] += RIDGE
             factor = linalg.cholesky(normal, lower=True, check_finite=False)
-            target = measured[:, group] * weight
+            target = measured[:, group] * weight[:, None]
             found, left = np.zeros((len(norm), len(group))), target
             for _ in range(2):
-                found = found + _solved(factor, own.T @ left / norm[:, None]) / norm[:, None]
-                left = target - own @ found
+                found = found + _solved(factor, own.onto(left) / norm[:, None]) / norm[:, None]
+                left = target - own.times(found)
             residual[:, group], coefficients[:, group] = left / size, found
             each.append(own)
             factors.append(factor)
@@ -260,8 +331,8 @@ class LineFit:
             return found
         own = self.coefficients[:start].reshape(len(self.poles), lines.per_pole, lines.outputs)
         residues = -self.poles.real[:, None, None] * (own[:, 0 : 2 * m : 2] + 1j * own[:, 1 : 2 * m : 2]) / 2
-        for one, rows in zip(lines.observations, lines.rows, strict=True):
-            for j, sampling in enumerate(one.samplings):
+        for one, rows, places in zip(lines.observations, lines.rows, lines.places, strict=True):
+            for j, sampling in zip(places, one.samplings, strict=True):
                 sides = [[sampling.response(side, one.z)[0] for side in sides_of(pole)] for pole in self.poles]
                 above, below = (np.column_stack(each) for each in zip(*sides, strict=True))
                 found[rows, :, j] += above @ residues[:, j] + below @ residues[:, j].conj()
@@ -285,31 +356,43 @@ class LineFit:
         slopes = self.lines.columns(self.poles, slopes=True)
         normal, descent = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
         for group, basis, factor, norm in zip(self.lines.groups, self.weighted, self.factors, self.norms, strict=True):
-            weight, size = _weight(self.deviation, group)
+            weight, size = self.lines.weight(self.deviation, group)
             change, own = turned[..., group] / size, slopes
             if 2 * len(group) < per:
                 # the derivatives themselves are fewer than the columns they are made of
-                own = np.empty((len(slopes), 2 * count), order="F")
-                for i in range(count):
-                    own[:, 2 * i : 2 * i + 2] = slopes[:, per * i : per * (i + 1)] @ change[i, :, :, 0].T
+                own = self._derivatives(slopes, change[..., 0])
                 change = np.tile(np.eye(2)[:, :, None], (count, 1, 1, 1))
-            own = own * weight
-            columns = own.shape[1] // count
-            shared = basis.T @ own / norm[:, None]
-            products = own.T @ own - shared.T @ _solved(factor, shared)
+            own = own.weighted(weight)
+            columns = own.count // count
+            shared = basis.products(own) / norm[:, None]
+            squares = own.squares()
+            products = np.tril(squares) + np.tril(squares, -1).T - shared.T @ _solved(factor, shared)
             products = products.reshape(count, columns, count, columns)
             normal += np.einsum("aipo,apbq,bkqo->aibk", change, products, change, optimize=True).reshape(normal.shape)
-            onto = (own.T @ self.residual[:, group]).reshape(count, columns, len(group))
+            onto = own.onto(self.residual[:, group]).reshape(count, columns, len(group))
             descent += np.einsum("aipo,apo->ai", change, onto).ravel()
         damped = 2 * np.arange(count) + 1
         normal[damped, damped] += 1 / self.usual[:, 1] ** 2
         descent[damped] -= self.surprise / self.usual[:, 1]
         return normal, descent
 
+    def _derivatives(self, slopes: RecordColumns, change: NDArray[np.float64]) -> RecordColumns:
+        """Two columns of each pole: those of its `slopes`, in the proportions of (poles, 2, columns of a pole)."""
+        count, blocks = len(self.poles), []
+        for number, block in enumerate(slopes.blocks):
+            of_pole = self.lines.of_record(number)
+            size = len(of_pole)
+            made = np.empty((len(block), 2 * count), order="F")
+            for i in range(count):
+                made[:, 2 * i : 2 * i + 2] = block[:, size * i : size * (i + 1)] @ change[i][:, of_pole].T
+            blocks.append(made)
+        places = (np.arange(2 * count),) * len(blocks)
+        return replace(slopes, count=2 * count, places=places, blocks=tuple(blocks))
+
     def covariance(self) -> NDArray[np.float64]:
         """Covariance of the logarithms of frequency and damping ratio of all poles, in turn."""
         normal, _ = self.curvature()
-        excess = self.cost / max(self.residual.size - self.coefficients.size - len(normal), 1)
+        excess = self.cost / max(2 * self.lines.values - self.coefficients.size - len(normal), 1)
         return np.asarray(np.linalg.pinv(normal) * max(1.0, excess))
 
     def explained(self, forced: bool = False) -> NDArray[np.float64]:
@@ -317,7 +400,7 @@ class LineFit:
         per, found = self.lines.per_pole, np.zeros(len(self.poles))
         for group, factor, norm in zip(self.lines.groups, self.factors, self.norms, strict=True):
             inverse = _solved(factor, np.eye(len(norm)))
-            scaled = self.coefficients[:, group] * norm[:, None] / _weight(self.deviation, group)[1]
+            scaled = self.coefficients[:, group] * norm[:, None] / self.lines.weight(self.deviation, group)[1]
             for i in range(len(self.poles)):
                 own = slice(per * i, per * i + (2 * self.lines.inputs if forced else per))
                 found[i] += float(np.sum(scaled[own] * np.linalg.solve(inverse[own, own], scaled[own])))
@@ -328,19 +411,22 @@ class LineFit:
         per, found = self.lines.per_pole, np.zeros(len(candidates))
         for start in range(0, len(candidates), AT_A_TIME):
             columns = self.lines.columns(candidates[start : start + AT_A_TIME])
-            count = columns.shape[1] // per
+            count = columns.count // per
             for group, basis, factor, norm in zip(
                 self.lines.groups, self.weighted, self.factors, self.norms, strict=True
             ):
-                own = columns * _weight(self.deviation, group)[0]
-                shared = (basis.T @ own / norm[:, None]).T.reshape(count, per, -1)
-                mine = own.T.reshape(count, per, -1)
-                products = mine @ mine.transpose(0, 2, 1)
+                own = columns.weighted(self.lines.weight(self.deviation, group)[0])
+                shared = (basis.products(own) / norm[:, None]).T.reshape(count, per, -1)
+                products = np.zeros((count, per, per))
+                for places, block in zip(own.places, own.blocks, strict=True):
+                    mine = block.T.reshape(count, block.shape[1] // count, -1)
+                    of_pole = places[: mine.shape[1]]
+                    products[:, of_pole[:, None], of_pole] += mine @ mine.transpose(0, 2, 1)
                 scale = np.sqrt(np.maximum(np.diagonal(products, axis1=1, axis2=2), np.finfo(float).tiny))
                 taken = _solved(factor, shared.reshape(count * per, -1).T).T.reshape(shared.shape)
                 apart = (products - shared @ taken.transpose(0, 2, 1)) / (scale[:, :, None] * scale[:, None])
                 apart[:, range(per), range(per)] += 1e-9
-                of_own = (own.T @ self.residual[:, group]).reshape(count, per, -1) / scale[:, :, None]
+                of_own = own.onto(self.residual[:, group]).reshape(count, per, -1) / scale[:, :, None]
                 explained = np.sum(of_own * np.linalg.solve(apart, of_own), axis=(1, 2))
                 found[start : start + count] += explained
         return found
@@ -349,14 +435,6 @@ class LineFit:
 def _solved(factor: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
     """The solution of the normal equations with this lower Cholesky factor."""
     return np.asarray(linalg.cho_solve((factor, True), right, check_finite=False))
-
-
-def _weight(
-    deviation: NDArray[np.float64], group: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(2 lines, 1) weights of a group's first output, and (group,) deviations of its outputs in units of the first."""
-    first = deviation[:, group[0]]
-    return np.tile(np.sqrt(2) / first[:, None], (2, 1)), deviation[0, group] / first[0]
 
 
 def refined(

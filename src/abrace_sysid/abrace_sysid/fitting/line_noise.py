@@ -68,9 +68,10 @@ def noise_of(fit: LineFit, steps: int = STEPS) -> LineNoise:
     """
     lines, error, response = fit.lines, fit.errors(), fit.responses()
     forced = np.einsum("kpm,km->kp", response, lines.excitation)
-    variance, cost, through = np.empty(error.shape), 0.0, False
+    variance, cost, through = np.ones(error.shape), 0.0, False
     tiny = np.finfo(float).tiny
-    for rows in lines.rows:
+    for rows, present in zip(lines.rows, lines.present, strict=True):
+        groups = [group for group in lines.groups if present[group[0]]]
         count = rows.stop - rows.start
         left = count - fit.coefficients.shape[0] / 2 / len(lines.rows)
         power = np.abs(error[rows]) ** 2 * (count / max(left, count / 4)) + tiny
@@ -78,12 +79,11 @@ def noise_of(fit: LineFit, steps: int = STEPS) -> LineNoise:
         floor = FLOOR * (np.mean(np.abs(lines.measured[rows]) ** 2, axis=0) + through_it[1])
         # outputs with one spectrum are one, the mean of theirs in units of their levels
         levels = np.exp(np.mean(np.log(power), axis=0))
-        of_group = np.column_stack([(power / levels)[:, group].mean(axis=1) for group in lines.groups])
-        floors, *shapes = (
-            np.column_stack([(each / levels)[:, group].mean(axis=1) for group in lines.groups])
-            for each in (floor, *through_it)
+        of_group, floors, *shapes = (
+            np.column_stack([(each[:, group] / levels[group]).mean(axis=1) for group in groups])
+            for each in (power, floor, *through_it)
         )
-        number = np.array([len(group) for group in lines.groups])
+        number = np.array([len(group) for group in groups])
         shapes = [np.ones(of_group.shape), *shapes]
         smooth = [_hats(count, *SMOOTH), _hats(count, *SMOOTH_OF_INPUT), _hats(count, *SMOOTH_OF_INPUT)]
         start = of_group.mean(axis=0)
@@ -96,12 +96,12 @@ def noise_of(fit: LineFit, steps: int = STEPS) -> LineNoise:
             shapes = [shape / (shape.mean(axis=0) + tiny) + 1e-12 for shape in shapes]
             shares = [0.5, 0.1, 0.1, *([0.01] * len(fit.poles))]
             more = _climbed(of_group, floors, number, shapes, smooth, [share * start for share in shares], steps)
-            if more[1] < best[1] - PAYS * lines.outputs:
+            if more[1] < best[1] - PAYS * number.sum():
                 best, through = more, True
-        for group, shape in zip(lines.groups, best[0].T, strict=True):
+        for group, shape in zip(groups, best[0].T, strict=True):
             own = np.mean(power[:, group] / shape[:, None], axis=0) if len(group) > 1 else levels[group]
-            variance[rows, group[0] : group[-1] + 1] = shape[:, None] * own
-        cost += 2 * float(np.sum(np.log(variance[rows]) + power / variance[rows]))
+            variance[rows, group] = shape[:, None] * own
+        cost += 2 * float(np.sum((np.log(variance[rows]) + power / variance[rows])[:, present]))
     return LineNoise(variance, cost, through)
 
 

@@ -31,6 +31,7 @@ from abrace_sysid.fitting.covariance import covariance, inflation, of_entries
 from abrace_sysid.fitting.curve_fit import UnstablePolesError, require_stable
 from abrace_sysid.fitting.likelihood import FASTEST, Likelihood
 from abrace_sysid.fitting.modes import modes_of, starting_modes
+from abrace_sysid.fitting.observation import names_of
 from abrace_sysid.fitting.pole_estimate import PoleEstimate, columns_of
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def fit_poles(
     Parameters
     ----------
     observations
-        The tests, with the same outputs.
+        The tests; each can have its own outputs.
     start
         Starting poles [rad/s], of each pair the one above the real axis, and real ones; they keep their order.
         They must be right within a few half-power bandwidths, as those of `vector_fitting` are. Or the fit of tests
@@ -100,7 +101,7 @@ def fit_poles(
     for observation in observations:
         if not set(observation.poles or ()) <= set(range(len(poles))):
             raise AbraceError(f"{observation.source}: poles {observation.poles}, expected within 0 to {len(poles) - 1}")
-    inputs = tuple(dict.fromkeys(name for observation in observations for name in observation.inputs))
+    inputs, outputs = names_of(observations)
     where = ", ".join(dict.fromkeys(observation.source for observation in observations))
     many = max(len(observation.z) for observation in observations) > 2 * FEW_LINES
     few = [observation.thinned(FEW_LINES) for observation in observations] if many else observations
@@ -138,9 +139,9 @@ def fit_poles(
         of_modes,
         likelihood.cost,
         sum(observation.measured.size for observation in observations) * 2,
-        size + sum(len(one.coefficients) + len(one.power) for one in likelihood.channels),
+        size + sum(np.count_nonzero(each) for one in likelihood.channels for each in (one.coefficients, one.places >= 0)),
         inputs,
-        observations[0].outputs,
+        outputs,
         found.drive / unit,
         _shapes(found.poles, coefficients),
         _direct(observations, inputs, found, coefficients) / unit,

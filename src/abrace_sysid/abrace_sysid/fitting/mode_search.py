@@ -135,7 +135,7 @@ def find_modes(
     """
     lines = Lines(observations, above)
     most = max(most, given)
-    if given > (enough := len(lines.omega) * lines.outputs // (1 + lines.outputs * lines.per_pole)):
+    if given > (enough := lines.values // (1 + lines.forced_parts + lines.free_parts)):
         raise AbraceError(f"identification: {given} modes, expected at most {enough} of {len(lines.omega)} lines")
     fit = _searched(lines, most, progress)
     fit, noise = _chosen(lines, LineFit.at(lines, fit.poles[:0]), fit.poles)
@@ -153,8 +153,7 @@ def find_modes(
         still = Lines(observations, above, at_rest=True)
         still.deviation = lines.deviation
         alone = refined(still, fit.poles, 15, 1e-3)
-        free = 2 * lines.outputs * len(observations) * len(fit.poles)
-        if alone.misfit < fit.misfit + chi2.isf(REST_CHANCE, free):
+        if alone.misfit < fit.misfit + chi2.isf(REST_CHANCE, lines.free_parts * len(fit.poles)):
             fit = alone
     if given:
         fit, noise = _with_pairs(fit, given)
@@ -176,7 +175,7 @@ def _with_pairs(fit: LineFit, given: int) -> tuple[LineFit, LineNoise]:
         candidates, more = _candidates(lines, fit.errors())[0], list[complex]()
         gains = fit.gains(candidates)
         # a pole that explains less than its parameters do of noise is none
-        for i in [i for i in np.argsort(-gains) if gains[i] > 2 + lines.outputs * lines.per_pole]:
+        for i in [i for i in np.argsort(-gains) if gains[i] > 2 + lines.forced_parts + lines.free_parts]:
             apart = all(abs(candidates[i] - one) > -2 * min(candidates[i].real, one.real) for one in more)
             if apart and len(more) < min(AT_ONCE, missing):
                 more.append(complex(candidates[i]))
@@ -211,7 +210,7 @@ def _reported(fit: LineFit, found: LineNoise, given: int = 0) -> FoundModes:
     cost = (found.cost + _threshold(lines, found) * len(fit.poles)) / len(lines.omega)
     kept = np.flatnonzero(driven)
     kept = kept[np.argsort(np.abs(fit.poles[kept]))]
-    level = np.exp(np.mean(np.log(fit.deviation / np.median(fit.deviation, axis=0)), axis=1))
+    level = lines.level()
     noise = tuple(level[rows] for rows in lines.rows)
     return FoundModes(
         fit.poles[kept], is_mode[kept], fit.poles[~driven], noise, lines.at_rest, found.passes_through, cost
@@ -220,15 +219,16 @@ def _reported(fit: LineFit, found: LineNoise, given: int = 0) -> FoundModes:
 
 def _is_driven(fit: LineFit) -> NDArray[np.bool_]:
     """(poles,) whether the forced part of each pole pays."""
-    least = chi2.isf(FREE_CHANCE, 2 * fit.lines.inputs * fit.lines.outputs)
+    least = chi2.isf(FREE_CHANCE, fit.lines.forced_parts)
     return fit.explained(forced=True) > least
 
 
 def _threshold(lines: Lines, noise: LineNoise) -> float:
     """What a pole must explain; errors that pass through the model are one error of all outputs, and count for each."""
+    parts = lines.forced_parts + lines.free_parts
     if noise.passes_through:
-        return float(lines.outputs * chi2.isf(CHANCE, 2 + lines.per_pole))
-    return float(chi2.isf(CHANCE, 2 + lines.outputs * lines.per_pole))
+        return float(lines.outputs * chi2.isf(CHANCE, 2 + parts / lines.outputs))
+    return float(chi2.isf(CHANCE, 2 + parts))
 
 
 def _searched(lines: Lines, most: int, progress: Callable[[int], None]) -> LineFit:
@@ -336,24 +336,34 @@ def _chosen(lines: Lines, start: LineFit, more: NDArray[np.complex128]) -> tuple
 
 
 def _candidates(lines: Lines, responses: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """Poles of local subspaces of all records, and (lines, outputs) the variance beside them (infinite: unknown)."""
+    """Poles of local subspaces, and (lines, outputs) the variance beside them (infinite: unknown).
+
+    Records with the same channels have their subspaces in common.
+    """
     found: list[NDArray[np.complex128]] = []
-    variance, apart = np.full(responses.shape, np.inf), np.inf
-    for rows in lines.rows:
-        omega, u, y = lines.omega[rows], lines.excitation[rows], responses[rows]
-        apart = min(apart, omega[0] if len(omega) < 2 else float(np.median(np.diff(omega))))
-        for own in _bands(len(omega)):
+    variance = np.full(responses.shape, np.inf)
+    spacing = [2 * np.pi / one.seconds if len(one.omega) > 1 else one.omega[0] for one in lines.observations]
+    channels = np.hstack([lines.driven, lines.present])
+    for pattern in np.unique(channels, axis=0):
+        inputs, outputs = np.flatnonzero(pattern[: lines.inputs]), np.flatnonzero(pattern[lines.inputs :])
+        alike = np.flatnonzero((channels == pattern).all(axis=1))
+        longest = lines.omega[lines.rows[max(alike, key=lambda i: lines.rows[i].stop - lines.rows[i].start)]]
+        for own in _bands(len(longest)):
+            low, high = longest[own.start], longest[own.stop - 1]
+            in_band = (lines.omega >= low) & (lines.omega <= high)
+            within = [lines.rows[i].start + np.flatnonzero(in_band[lines.rows[i]]) for i in alike]
+            place = np.concatenate(within)
+            of_record = np.repeat(np.eye(len(alike)), [len(each) for each in within], axis=0)
+            omega, u, y = lines.omega[place], lines.excitation[np.ix_(place, inputs)], responses[np.ix_(place, outputs)]
             try:
-                poles = _local_poles(omega[own], u[own], y[own])
+                poles = _local_poles(omega, u, y, of_record)
                 if not poles:
                     continue
-                beside = _variance_beside(omega[own], u[own], y[own], poles[-1])
+                beside = _variance_beside(omega, u, y, of_record, poles[-1])
             except np.linalg.LinAlgError:
                 continue
-            low, high = 0.7 * omega[own][0], 1.4 * omega[own][-1]
-            found += [each[(each.imag > low) & (each.imag < high)] for each in poles]
-            place = slice(rows.start + own.start, rows.start + own.stop)
-            variance[place] = np.minimum(variance[place], beside)
+            found += [each[(each.imag > 0.7 * low) & (each.imag < 1.4 * high)] for each in poles]
+            variance[np.ix_(place, outputs)] = np.minimum(variance[np.ix_(place, outputs)], beside)
     if not found:
         return np.zeros(0, dtype=np.complex128), variance
     pooled = np.concatenate(found)
@@ -363,7 +373,7 @@ def _candidates(lines: Lines, responses: NDArray[np.complex128]) -> tuple[NDArra
     pooled = (size * (-damping + 1j * np.sqrt(1 - damping**2)))[np.argsort(size)]
     kept: list[complex] = []
     for pole in pooled:
-        near = (abs(pole - one) < -ALIKE * max(pole.real, one.real) + 0.1 * apart for one in kept[-12:])
+        near = (abs(pole - one) < -ALIKE * max(pole.real, one.real) + 0.1 * min(spacing) for one in kept[-12:])
         if not any(near):
             kept.append(complex(pole))
     return np.array(kept, dtype=np.complex128), variance
@@ -380,16 +390,20 @@ def _bands(count: int) -> list[slice]:
 
 
 def _local_poles(
-    omega: NDArray[np.float64], u: NDArray[np.complex128], y: NDArray[np.complex128]
+    omega: NDArray[np.float64], u: NDArray[np.complex128], y: NDArray[np.complex128], of_record: NDArray[np.float64]
 ) -> list[NDArray[np.complex128]]:
-    """Poles [rad/s] of rising orders of a band: complex subspace of powers of a map of the band to the unit circle."""
-    middle, half = (omega[-1] + omega[0]) / 2, (omega[-1] - omega[0]) / 2
+    """Poles [rad/s] of rising orders of a band: complex subspace of powers of a map of the band to the unit circle.
+
+    `of_record` (lines, records) is 1 where a line is the record's.
+    """
+    middle, half = (omega.max() + omega.min()) / 2, (omega.max() - omega.min()) / 2
     place, count, channels = (omega - middle) / half, len(omega), y.shape[1]
     z = (SPREAD + 1j * place) / (SPREAD - 1j * place)
     tiny = np.finfo(float).tiny
     outputs = y / np.sqrt(np.mean(np.abs(y) ** 2, axis=0) + tiny)
     # what the inputs and a smooth leakage explain is projected out
-    inputs = np.column_stack([u / np.sqrt(np.mean(np.abs(u) ** 2, axis=0) + tiny), np.ones(count), place])
+    leakage = of_record, of_record * place[:, None]
+    inputs = np.column_stack([u / np.sqrt(np.mean(np.abs(u) ** 2, axis=0) + tiny), *leakage])
     blocks = int(np.clip(count // (2 * (inputs.shape[1] + channels)), 4, MOST_BLOCKS))
     powers = z[None, :] ** np.arange(blocks)[:, None]
     of_inputs = np.concatenate([powers * column for column in inputs.T])
@@ -414,15 +428,25 @@ def _local_poles(
 
 
 def _variance_beside(
-    omega: NDArray[np.float64], u: NDArray[np.complex128], y: NDArray[np.complex128], poles: NDArray[np.complex128]
+    omega: NDArray[np.float64],
+    u: NDArray[np.complex128],
+    y: NDArray[np.complex128],
+    of_record: NDArray[np.float64],
+    poles: NDArray[np.complex128],
 ) -> NDArray[np.float64]:
     """(outputs,) variance of the lines of a band beside these poles, a smooth response and a smooth leakage."""
-    middle, half = (omega[-1] + omega[0]) / 2, (omega[-1] - omega[0]) / 2
+    middle, half = (omega.max() + omega.min()) / 2, (omega.max() - omega.min()) / 2
     place = (omega - middle) / half
     poles = np.where(np.abs(poles.real) < 1e-4 * half, -1e-4 * half + 1j * poles.imag, poles)
     peaks = half / (1j * omega[:, None] - poles)
+    smooth = np.column_stack([peaks, place[:, None] ** np.arange(3)])
     columns = np.column_stack(
-        [*(peaks * column[:, None] for column in u.T), u, u * place[:, None], peaks, place[:, None] ** np.arange(3)]
+        [
+            *(peaks * column[:, None] for column in u.T),
+            u,
+            u * place[:, None],
+            *(smooth * column[:, None] for column in of_record.T),
+        ]
     )
     columns = columns / (np.linalg.norm(columns, axis=0) + np.finfo(float).tiny)
     q, r, _ = linalg.qr(columns, mode="economic", pivoting=True, check_finite=False)

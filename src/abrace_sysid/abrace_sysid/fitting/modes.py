@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_sysid.fitting.curve_fit import stacked
+from abrace_sysid.fitting.observation import names_of
 from abrace_sysid.fitting.pole_basis import transients
 from abrace_sysid.fitting.pole_estimate import columns_of
 
@@ -158,22 +159,24 @@ def starting_modes(
     modes, unit
         The modes in these units; (inputs,).
     """
-    channels = observations[0].measured.shape[1]
+    outputs = names_of(observations)[1]
     direct = np.ones(len(inputs), dtype=np.bool_) if delays is None else np.isnan(delays)
     delays = np.zeros(len(inputs)) if delays is None else np.nan_to_num(delays)
     shows = np.zeros((len(poles), len(inputs)), dtype=np.bool_)
-    residues = np.zeros((channels, len(poles), len(inputs)), dtype=np.complex128)
-    levels = np.zeros(channels)
+    residues = np.zeros((len(outputs), len(poles), len(inputs)), dtype=np.complex128)
+    levels, times = np.zeros(len(outputs)), np.zeros(len(outputs))
     for observation in observations:
         shown = list(observation.shown(poles))
         later = delays[[inputs.index(name) for name in observation.inputs]]
         of_inputs, noise = _residues(observation, poles[shown], later)
-        levels += np.log(noise) - np.log(noise).mean()
+        own = [outputs.index(name) for name in observation.outputs]
+        levels[own] += np.log(noise) - np.log(noise).mean()
+        times[own] += 1
         for name, of_input in zip(observation.inputs, np.moveaxis(of_inputs, 2, 0), strict=True):
             shows[shown, inputs.index(name)] = True
-            residues[:, shown, inputs.index(name)] += of_input
+            residues[np.ix_(own, shown, [inputs.index(name)])] += of_input[:, :, None]
     # channels have one scale for all tests, otherwise a mode would have another shape in each of them
-    residues /= np.exp(levels / len(observations))[:, None, None]
+    residues /= np.exp(levels / times)[:, None, None]
     driven = shows if driven is None else shows & driven
     residues *= driven
     unit = np.sqrt(np.sum(np.abs(residues) ** 2, axis=(0, 1)))

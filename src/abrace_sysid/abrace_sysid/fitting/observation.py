@@ -70,6 +70,15 @@ def _continue(column: NDArray[np.float64], samples: int) -> None:
     column[samples : samples + AFTER] *= fade
 
 
+def names_of(observations: Sequence[Observation]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """All inputs and all outputs of `observations`, in the order of their first appearance."""
+    inputs, outputs = (
+        tuple(dict.fromkeys(name for one in observations for name in getattr(one, kind)))
+        for kind in ("inputs", "outputs")
+    )
+    return inputs, outputs
+
+
 @dataclass(frozen=True)
 class Observation:
     """One test in the likelihood; made by `of_test` or `of_response`.

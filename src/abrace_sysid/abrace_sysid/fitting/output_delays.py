@@ -16,6 +16,7 @@ import numpy as np
 from scipy import optimize
 
 from abrace_sysid.fitting.curve_fit import stacked
+from abrace_sysid.fitting.observation import names_of
 from abrace_sysid.fitting.pole_basis import forced, transients
 from abrace_sysid.fitting.pole_estimate import NORMAL_95
 
@@ -39,6 +40,9 @@ CERTAIN = 5.0
 EXPLAINS = 0.7
 """Greatest share that a delay leaves. Where the model errs otherwise (clipped, nonlinear) it leaves 0.89 and more."""
 
+AS_LIKELY = 8.0
+"""Shifts whose -log likelihood is greater by less (four standard deviations) may be right as well."""
+
 SETTLED = 0.02
 """Samples; a smaller change ends the iterations."""
 
@@ -55,12 +59,14 @@ PIECES = 16
 class Delay(NamedTuple):
     """A delay [s] of an output, positive if it is late, or of an input's action, with its standard deviation.
 
-    `left` is the share that remains, with it, of the power that the modes alone do not explain.
+    `left` is the share that remains, with it, of the power that the modes alone do not explain; `apart` how far [s] the
+    delays are from it that explain as much: in some records shapes of modes and a delay can hardly be told apart.
     """
 
     seconds: float
     deviation: float
     left: float
+    apart: float = 0.0
 
     @property
     def is_certain(self) -> bool:
@@ -69,13 +75,14 @@ class Delay(NamedTuple):
 
     def words(self, sample_period: float) -> str:
         """As "3.00 ± 0.02 samples (15 ms) late", in samples of `sample_period` [s]."""
-        samples, spread = abs(self.seconds) / sample_period, NORMAL_95 * self.deviation / sample_period
+        samples = abs(self.seconds) / sample_period
+        spread = max(NORMAL_95 * self.deviation, self.apart) / sample_period
         side = "late" if self.seconds > 0 else "early"
         return f"{samples:.2f} ± {spread:.2f} samples ({1e3 * abs(self.seconds):.3g} ms) {side}"
 
 
 def output_delays(observations: Sequence[Observation], poles: NDArray[np.complex128]) -> tuple[Delay, ...]:
-    """The delay of each output against the inputs.
+    """The delay of each output (`names_of`) against the inputs.
 
     Parameters
     ----------
@@ -94,16 +101,17 @@ def output_delays(observations: Sequence[Observation], poles: NDArray[np.complex
 
     grid = np.arange(-MOST_SAMPLES, MOST_SAMPLES + GRID, GRID) * period
     found = []
-    for channel in range(len(records[0].outputs)):
-        cost, lines = np.zeros(len(grid)), sum(len(one.z) for one in records)
-        for i, one in enumerate(records):
+    for name in names_of(records)[1]:
+        having = [(i, one, one.outputs.index(name)) for i, one in enumerate(records) if name in one.outputs]
+        cost, lines = np.zeros(len(grid)), sum(len(one.z) for _, one, _ in having)
+        for i, one, channel in having:
             turned = one.measured[:, [channel]] * np.exp(1j * np.outer(one.omega, grid))
             power = np.sum(left_over(i, turned) ** 2, axis=0)
             cost += len(one.z) * np.log(np.maximum(power, np.finfo(float).tiny))
         seconds = float(grid[np.argmin(cost)])
         for _ in range(ITERATIONS):
             curvature, scores, least = 0.0, [], 0.0
-            for i, one in enumerate(records):
+            for i, one, channel in having:
                 turned = one.measured[:, [channel]] * np.exp(1j * one.omega * seconds)[:, None]
                 rest = left_over(i, turned)
                 slope = left_over(i, 1j * one.omega[:, None] * turned)
@@ -118,7 +126,8 @@ def output_delays(observations: Sequence[Observation], poles: NDArray[np.complex
             seconds -= float(np.clip(step, -GRID * period, GRID * period))
         random = float(np.sqrt(np.sum(np.square(scores)))) / curvature if curvature > 0 else np.inf
         left = float(np.exp((least - cost[len(grid) // 2]) / lines))
-        found.append(Delay(seconds, float(np.hypot(random, MODEL_ERROR * period)), left))
+        deviation, apart = float(np.hypot(random, MODEL_ERROR * period)), _apart(seconds, grid, cost)
+        found.append(Delay(seconds, deviation, left, apart))
     return tuple(found)
 
 
@@ -159,8 +168,15 @@ def input_delays(observations: Sequence[Observation], poles: NDArray[np.complex1
         curvature = (before + after - 2 * near.fun) / (0.1 * period) ** 2
         random = 1 / np.sqrt(curvature) if curvature > 0 else np.inf
         left = float(np.exp((near.fun - costs[len(grid) // 2]) / lines))
-        found.append(Delay(float(near.x), float(np.hypot(random, OF_INPUT * period)), left))
+        deviation, apart = float(np.hypot(random, OF_INPUT * period)), _apart(near.x, grid, np.array(costs))
+        found.append(Delay(float(near.x), deviation, left, apart))
     return tuple(found)
+
+
+def _apart(seconds: float, grid: NDArray[np.float64], cost: NDArray[np.float64]) -> float:
+    """How far [s] the shifts of a `grid` are from a delay that are about as likely; `cost`: -log likelihood of each."""
+    alike = grid[cost < cost.min() + AS_LIKELY]
+    return max(0.0, float(np.abs(alike - seconds).max() - (grid[1] - grid[0])))
 
 
 def _basis(one: Observation, poles: NDArray[np.complex128]) -> NDArray[np.float64]:

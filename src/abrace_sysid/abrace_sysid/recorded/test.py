@@ -314,8 +314,9 @@ class Test:
         Parameters
         ----------
         late
-            By name: by how many seconds an output is late, or an input acts late.
+            By name: by how many seconds an output is late, or an input acts late; of other channels without effect.
         """
+        late = {name: by for name, by in late.items() if name in (*self.names, *self.inputs)}
         lost = max((int(np.ceil(abs(by) / self.sample_period)) for by in late.values()), default=0)
         if not lost:
             return self
@@ -479,20 +480,28 @@ def given_tests(given: Any, columns: Mapping[str, Any] | None = None) -> tuple[T
     return tuple(found)
 
 
-def of_one_rig(given: AnyTest | Sequence[AnyTest], channels: bool = True) -> tuple[Test, ...]:
+def of_one_rig(
+    given: AnyTest | Sequence[AnyTest], alike: Sequence[Literal["inputs", "channels"]] = ("inputs", "channels")
+) -> tuple[Test, ...]:
     """The tests that were `given`, one or several, all of one rig.
+
+    Parameters
+    ----------
+    given
+    alike
+        Whether all have the same inputs, and the same channels (outputs).
 
     Raises
     ------
     AbraceError
-        If there is none, or rigs, sample periods, units or, with `channels`, inputs or outputs differ.
+        If there is none, or rigs, sample periods, units, or what is to be `alike`, differ.
     """
     tests = given_tests(given)
     first = tests[0]
     for other in tests[1:]:
         for what, one, two in (
-            ("inputs", first.inputs, other.inputs if channels else first.inputs),
-            ("channels", first.names, other.names if channels else first.names),
+            ("inputs", first.inputs, other.inputs if "inputs" in alike else first.inputs),
+            ("channels", first.names, other.names if "channels" in alike else first.names),
             ("floors", first.floors, other.floors),
             ("brace groups", first.groups, other.groups),
             ("sample period", first.sample_period, other.sample_period),

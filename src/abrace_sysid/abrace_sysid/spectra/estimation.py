@@ -7,6 +7,7 @@ Welch's method. Periodic tests have their own method (`periodic_response`).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
@@ -90,6 +91,8 @@ def frequency_responses(
 ) -> tuple[FrequencyResponse, ...]:
     """One transfer function for each excited input, from one test or repeated ones.
 
+    Tests of one structure can have other outputs (setups): each output's is estimated from all tests that have it.
+
     Parameters
     ----------
     given
@@ -104,17 +107,45 @@ def frequency_responses(
         If the tests are too short for the method.
     """
     options = options or TransferFunctionOptions()
-    tests = of_one_rig(given)
+    tests = of_one_rig(given, alike=["inputs"])
+    setups: dict[tuple[int, ...], list[str]] = {}
+    for name in dict.fromkeys(name for test in tests for name in test.names):
+        setups.setdefault(tuple(i for i, test in enumerate(tests) if name in test.names), []).append(name)
     shortest = min(len(each.outputs) for each in tests)
+    if len(setups) == 1:
+        return _of_setup(tests, inputs, band, options, shortest)
+    found = [
+        _of_setup([tests[i].select(names) for i in having], inputs, band, options, shortest)
+        for having, names in setups.items()
+    ]
+    return tuple(
+        replace(
+            each[0],
+            outputs=tuple(name for one in each for name in one.outputs),
+            response=np.hstack([one.response for one in each]),
+            sigma=np.hstack([one.sigma for one in each]),
+        )
+        for each in zip(*found, strict=True)
+    )
+
+
+def _of_setup(
+    tests: Sequence[Test],
+    inputs: Sequence[str],
+    band: tuple[float, float],
+    options: TransferFunctionOptions,
+    shortest: int,
+) -> tuple[FrequencyResponse, ...]:
+    """As `frequency_responses`, of tests with the same outputs; the `shortest` of all has so many samples."""
     if options.transfer_function == "welch":
         segment = options.segment or min(LONGEST_SEGMENT, shortest // 4)
         return tuple(welch(tests, name, band, segment) for name in inputs)
     if options.transfer_function == "local_polynomial":
         degree, half_width = options.degree or POLYNOMIAL[0], options.half_width or POLYNOMIAL[1]
-        return local_responses(tests, inputs, band, degree, half_width, poles=0)
+        return local_responses(tests, inputs, band, degree, half_width, 0, shortest)
     seconds = shortest * tests[0].sample_period
     half_width = options.half_width or automatic_half_width(seconds, len(inputs), slowest_bandwidth(tests[0], band))
-    return local_responses(tests, inputs, band, options.degree or DEGREE, half_width, poles=1)
+    return local_responses(tests, inputs, band, options.degree or DEGREE, half_width, 1, shortest)
 
 
 def local_responses(
@@ -124,11 +155,12 @@ def local_responses(
     degree: int,
     half_width: int,
     poles: Literal[0, 1],
+    samples: int,
 ) -> tuple[FrequencyResponse, ...]:
     """One transfer function for each of the inputs that were excited at once.
 
-    Repeated tests share response and noise level; each has its own transient. Tests of different length are cut into
-    pieces as long as the shortest; the remainder at the end of a test is not used.
+    Repeated tests share response and noise level; each has its own transient. Longer tests are cut into pieces; the
+    remainder at the end of a test is not used.
 
     Parameters
     ----------
@@ -145,13 +177,14 @@ def local_responses(
     poles
         0: local polynomial method (Schoukens et al. 2009; Pintelon and Schoukens 2012, sec. 7.2); 1: local rational
         method (McKelvey and Guerin 2012), one pole shared by all channels.
+    samples
+        Of each piece, at most those of the shortest test.
 
     Raises
     ------
     AbraceError
         If a window has too few lines, the band has fewer lines than a window, or an input is not excited.
     """
-    samples = min(len(test.outputs) for test in tests)
     lines, omega = lines_within(tests[0], samples, band)
     excitation, outputs = [], []
     for test in tests:

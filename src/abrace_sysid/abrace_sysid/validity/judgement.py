@@ -243,7 +243,7 @@ def identify_and_judge(
         The identification, the records held out, and what was found of data and model.
     """
     records = given_tests(data)
-    of_one_rig([*records, *validation])
+    of_one_rig([*records, *validation], alike=["inputs"])
     ends = [round((1 - options.held_out) * len(one.outputs)) for one in records]
     found = identify_data([one.part(0, end) for one, end in zip(records, ends, strict=True)], options, progress)
     parts = [one.part(end, len(one.outputs)) for one, end in zip(records, ends, strict=True)]
@@ -265,14 +265,14 @@ def judge_data(found: DataIdentification, held_out: Sequence[Test]) -> Judgement
     for test in found.tests:
         findings += sensor_findings.dead(test) + sensor_findings.saturated(test)
         findings += sensor_findings.spiked(test, (*test.inputs, *test.names))
-    findings += sensor_findings.other_units(found.estimate, found.tests[0])
+    findings += sensor_findings.other_units(found.estimate, found.model.units, found.source)
     nonlinear = [one.cause for one in findings if one.verdict and one.cause == "saturation"]
     for record in found.records:
-        residuals.append(residual_of_data(record, found.model, found.band))
+        residuals.append(residual_of_data(record, found.model.select(record.names), found.band))
         findings += model_findings.unexplained(residuals[-1], nonlinear)
     not_checked = {RIG_ALONE: "the meaning of the data's channels is unknown"}
     if held_out:
-        findings.append(_predicted(found, held_out, residuals[0]))
+        findings.append(_predicted(found, held_out, residuals))
     else:
         not_checked["prediction"] = "held_out is 0 and there is no other record, no data was held out"
     return Judgement(Validity(tuple(findings), not_checked), tuple(residuals))
@@ -289,13 +289,19 @@ def _in_time(found: DataIdentification) -> list[Finding]:
     return [Finding.of("sensors synchronous", where, value, limits, meaning, unit="s", verdict=Verdict.TRUST)]
 
 
-def _predicted(found: DataIdentification, held_out: Sequence[Test], residual: Residual) -> Finding:
-    """The finding on the prediction of the records held out, with the noise level of a record used."""
+def _predicted(found: DataIdentification, held_out: Sequence[Test], residuals: Sequence[Residual]) -> Finding:
+    """The finding on the prediction of the records held out, with the noise levels of the records used."""
     missed = 1 - variance_accounted_for(found.model, held_out, found.band)
-    power = sum(len(one.outputs) * np.var(one.channels(found.model.outputs), axis=0) for one in held_out)
-    power = power / sum(len(one.outputs) for one in held_out)
-    noise = residual.noise[0] / np.where(power > 0, power, np.inf)
+    noise = np.array([_noise_share(name, residuals, held_out) for name in found.model.outputs])
     errors = np.sqrt(np.maximum(missed - noise, 0))
     shares = dict(zip(found.model.outputs, errors.tolist(), strict=True))
     why = "does not move, or has too few samples or values that are not finite, in the part held out"
     return prediction_finding(shares, {name: why for name, share in shares.items() if not isfinite(share)})
+
+
+def _noise_share(name: str, residuals: Sequence[Residual], held_out: Sequence[Test]) -> float:
+    """The share of noise in an output held out: the first record's that has it; 0: it does not move there."""
+    noise = next(one.noise[0, one.test.outputs.index(name)] for one in residuals if name in one.test.outputs)
+    moved = [one.channel(name) for one in held_out if name in one.names]
+    power = sum(len(each) * float(np.var(each)) for each in moved) / max(sum(map(len, moved)), 1)
+    return float(noise / power) if power > 0 else 0.0

@@ -15,7 +15,7 @@ from abrace_sysid.validity.finding import Finding
 from abrace_sysid.validity.kinematics import CONTRADICTION, Change, kinematics
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -177,14 +177,14 @@ def _named(change: Change, source: str) -> tuple[str, str, str]:
     return f"{name} is {size} in {source}{unit}", WRONG[1], "Correct unit or sensitivity in the calibration"
 
 
-def _stated_factor(test: Test, name: str) -> float:
-    """The factor to SI units of the unit that a `test` states for a signal; 1: none that its kind of quantity has."""
-    found = unit_as_stated(test.units.get(name, ""))
+def _stated_factor(units: Mapping[str, str], name: str) -> float:
+    """The factor to SI units of the unit that a signal states; 1: none that its kind of quantity has."""
+    found = unit_as_stated(units.get(name, ""))
     is_of_kind = found is not None and found.dimension == unit_of(signals.unit(name)).dimension
     return found.factor if found is not None and is_of_kind else 1.0
 
 
-def other_units(estimate: PoleEstimate, test: Test) -> list[Finding]:
+def other_units(estimate: PoleEstimate, units: Mapping[str, str], source: str) -> list[Finding]:
     """A finding for each floor of measured data whose acceleration is not the second derivative of its displacement.
 
     The shapes of a mode p are those of a floor's sensors: that of `a3` is p^2 times that of `x3`, whatever drives it.
@@ -193,8 +193,10 @@ def other_units(estimate: PoleEstimate, test: Test) -> list[Finding]:
     ----------
     estimate
         Modes of the data.
-    test
-        The data; units that it states are believed.
+    units
+        Those that the data state, by name; they are believed.
+    source
+        The data, for messages.
     """
     found, names = [], estimate.outputs
     pairs = estimate.poles.imag > 0
@@ -204,7 +206,7 @@ def other_units(estimate: PoleEstimate, test: Test) -> list[Finding]:
         read = estimate.shapes[names.index(a), pairs]
         size = np.abs(displaced) * np.linalg.norm(estimate.drive[pairs], axis=1) / np.abs(estimate.poles[pairs])
         ratio = read[np.argmax(size)] / displaced[np.argmax(size)]
-        ratio = ratio * _stated_factor(test, a) / _stated_factor(test, x)
+        ratio = ratio * _stated_factor(units, a) / _stated_factor(units, x)
         # one sensor in another unit is likelier than two
         alone = (signals.read_as(a, abs(ratio)), ""), ("", signals.read_as(x, 1 / abs(ratio)))
         factors = signals.OTHER_UNITS["x"].items()
@@ -214,7 +216,7 @@ def other_units(estimate: PoleEstimate, test: Test) -> list[Finding]:
         if said and abs(abs(ratio) - 1) > signals.SAME_UNIT and abs(np.angle(ratio**2)) < IN_PHASE:
             meaning = f"{said}: {a} is {abs(ratio):.3g} times the second derivative of {x}"
             advice = "Name the units (`units`), or correct them; nothing was converted"
-            where = f"{a} and {x}, {test.source}"
+            where = f"{a} and {x}, {source}"
             found.append(
                 Finding.of("units", where, abs(ratio), (1.0,), meaning, WRONG[1], advice, verdict=Verdict.CARE)
             )
