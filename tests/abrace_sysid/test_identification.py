@@ -12,8 +12,8 @@ from abrace_core.model.linear_model import pole_table
 from abrace_core.model.noise import banded_noise
 from abrace_core.model.verdict import Verdict
 from abrace_sysid.fitting.options import IdentificationOptions
-from abrace_sysid.fitting.order_selection import no_modes
 from abrace_sysid.fitting.pole_estimate import PoleInterval
+from abrace_sysid.fitting.servo_forms import no_modes
 from abrace_sysid.identification import identify
 from abrace_sysid.recorded.test import Test
 from abrace_sysid.validation import compare

@@ -7,12 +7,11 @@ import pytest
 from abrace_core import AbraceError
 from abrace_core.model.linear_model import pole_table
 from abrace_core.model.noise import banded_noise
+from abrace_sysid.fitting import servo_forms
 from abrace_sysid.fitting.maximum_likelihood import fit_again, fit_poles
 from abrace_sysid.fitting.observation import Observation
-from abrace_sysid.fitting.order_selection import Order, best_order, try_order
-from abrace_sysid.fitting.vector_fitting import FitsByOrder
+from abrace_sysid.fitting.servo_forms import ServoForm, fit_rig, fit_with_form, rig_modes
 from abrace_sysid.recorded.test import Test
-from abrace_sysid.spectra.estimation import frequency_responses
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 BAND = {"w": (0.3, 10.0), "U": (0.3, 30.0)}
@@ -95,12 +94,12 @@ def test_two_inputs_at_once_give_the_poles_of_the_building(laboratory, rough, tr
     assert damping < 5e-3, f"damping {damping:.4%} off"
 
 
-def test_one_minute_with_noise_40_db_down_is_enough_from_poles_that_vector_fitting_found(rig, laboratory_of, true):
+def test_one_minute_with_noise_40_db_down_is_enough_from_poles_that_the_search_found(rig, laboratory_of, true):
     run = laboratory_of(rig, 2).table_test(60)
     noise = 10 ** (25 / 20) * np.array([5.6e-5] * 3 + [2.2e-5] + [3.4e-3] * 3 + [16.0])
     loud = replace(run, outputs=run.outputs + noise * np.random.default_rng(5).standard_normal(run.outputs.shape))
-    start = FitsByOrder(frequency_responses(loud, ["w"], BAND["w"])[0]).starting_poles(3, 1)
-    frequency, damping = errors(fit_poles([observe(loud, "w")], start), true, 3)
+    lines = [observe(loud, "w")]
+    frequency, damping = errors(fit_with_form(lines, rig_modes(lines, 3), ServoForm(1)), true, 3)
     assert frequency < 1e-4, f"frequency {frequency:.5%} off"
     assert damping < 0.01, f"damping {damping:.3%} off"
 
@@ -116,21 +115,42 @@ def periodic(rig, seed, lines=1500):
     return FrequencyResponse("U", rig.model.outputs, omega, response, sigma, 0.002, "periodic")
 
 
-def test_the_description_length_finds_the_order(rig, true):
-    measured = periodic(rig, 1, 800)
-    lines, fits = [Observation.of_response(measured, "periodic")], [FitsByOrder(measured)]
-    trials = [try_order(lines, fits, Order(*each)) for each in ((5, 1), (6, 1), (6, 2))]
-    best = best_order(trials)
+def test_the_search_finds_the_modes_and_the_description_length_the_servo(rig, true):
+    lines = [Observation.of_response(periodic(rig, 1, 800), "periodic")]
+    assert np.abs(rig_modes(lines)) == pytest.approx(np.abs(true[:6]), rel=2e-3)
+    forms = [ServoForm(0), ServoForm(1), ServoForm(2), ServoForm(2, "lag")]
+    best = fit_rig(lines, forms)
     assert (best.poles.imag > 0).sum() == 6
     assert (best.poles.imag == 0).sum() == 2
     assert errors(best, true, 6)[0] < 1e-3
+    assert fit_rig(lines, forms[::-1]).poles == pytest.approx(best.poles, rel=1e-6), "whatever is tried first"
 
 
-def test_orders_that_fail_say_why(rig):
-    measured = periodic(rig, 1, lines=60)
-    trials = [try_order([Observation.of_response(measured, "periodic")], [FitsByOrder(measured)], Order(20))]
-    with pytest.raises(AbraceError, match="no order could be fitted: 20 pairs and 0 real poles: "):
-        best_order(trials)
+def test_as_many_modes_as_are_given(rig):
+    lines = [Observation.of_response(periodic(rig, 1, 800), "periodic")]
+    assert len(fit_rig(lines, [ServoForm(2)], given=4).pairs()) == 4
+    with pytest.raises(AbraceError, match="identification: 20 modes, expected at most"):
+        fit_rig([lines[0].thinned(60)], [ServoForm(2)], given=20)
+
+
+def test_forms_that_fail_say_why(rig, true, monkeypatch):
+    lines = Observation.of_response(periodic(rig, 1), "periodic")
+    growing = replace(lines, measured=lines.measured.conj())
+    with pytest.raises(AbraceError, match="periodic: no mode from 2 to "):
+        fit_rig([growing], [ServoForm(0), ServoForm(1)])
+    monkeypatch.setattr(servo_forms, "rig_modes", lambda *_: true[:6])
+    few = "with 6 modes: 2 real poles: periodic: 12 frequency lines, expected more than"
+    with pytest.raises(AbraceError, match=f"periodic: no form of the servos could be fitted {few}"):
+        fit_rig([lines.thinned(12)], [ServoForm(2)])
+
+
+def test_a_test_without_modes_is_an_error_that_says_what_to_do(rig):
+    measured = periodic(rig, 1, 800)
+    single = np.repeat(1 / (1j * measured.omega[:, None] + 3.0), 8, axis=1)
+    noise = 1e-4 * np.random.default_rng(3).standard_normal((2, *single.shape))
+    measured = replace(measured, response=single + noise[0] + 1j * noise[1], sigma=np.full(single.shape, 1e-4))
+    with pytest.raises(AbraceError, match="periodic: no mode from 2 to 180 rad/s, expected a longer or stronger test"):
+        rig_modes([Observation.of_response(measured, "periodic")])
 
 
 def test_unstable_poles_never_pass(rig, rough):

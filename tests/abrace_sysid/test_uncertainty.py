@@ -10,8 +10,7 @@ from abrace_core.model.model_ensemble import draw_models
 from abrace_sysid.fitting.maximum_likelihood import fit_poles
 from abrace_sysid.fitting.observation import Observation
 from abrace_sysid.fitting.options import IdentificationOptions
-from abrace_sysid.fitting.order_selection import Order, best_order, try_order
-from abrace_sysid.fitting.vector_fitting import FitsByOrder
+from abrace_sysid.fitting.servo_forms import rig_modes
 from abrace_sysid.identification import identify
 from abrace_sysid.models.modal import modal_covariance, modal_model
 from abrace_sysid.recorded.test import Test
@@ -79,13 +78,9 @@ def test_deviations_of_few_lines_allow_for_their_leverage(plant):
 
 
 def test_no_pole_is_found_in_noise(plant):
-    # Akaike's criterion in the place of the description length takes a third pair in a third of these
     found = []
     for seed in range(15):
-        response = measured(plant, 300, seed)
-        lines, fits = [Observation.of_response(response, "noisy")], [FitsByOrder(response)]
-        trials = [try_order(lines, fits, Order(pairs)) for pairs in (1, 2, 3, 4)]
-        found.append(len(best_order(trials).pairs()))
+        found.append(len(rig_modes([Observation.of_response(measured(plant, 300, seed), "noisy")])))
     assert found == [len(PAIRS)] * 15
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from abrace_core import AbraceError
 from abrace_core.model.linear_model import pole_table
-from abrace_sysid.fitting.vector_fitting import FitsByOrder, fit_common_poles, vector_fitting
+from abrace_sysid.fitting.vector_fitting import fit_common_poles, vector_fitting
 from abrace_sysid.spectra.frequency_response import FrequencyResponse
 
 
@@ -48,33 +48,9 @@ def test_unstable_poles_are_refused_and_shown_to_who_asks_for_all(exact):
     assert (fit_common_poles(growing, 14, np.ones(growing.response.shape)).poles.real > 0).any()
 
 
-def test_starting_poles_are_the_strongest_pairs_and_the_servos(exact, rig):
-    start = FitsByOrder(noisy(exact)).starting_poles(6, 2)
-    expected = np.array([w for w, _ in pole_table(rig.model.poles)])
-    assert np.abs(np.abs(start[:6]) / expected - 1).max() < 0.01
-    assert start[6] == pytest.approx(-np.abs(start[0]))
-    assert start[7] == pytest.approx(-1000.0)
-
-
-def test_the_order_is_the_least_within_the_uncertainty(exact):
-    fits = FitsByOrder(noisy(exact))
-    assert fits.order() in (13, 14), "six pairs, the lag, and the slow pole if it shows"
-    assert len(fits.modes(fits.order())) == 6
-
-
-def test_a_building_without_so_many_modes_is_an_error_that_says_what_to_do(exact):
-    omega = exact.omega
-    single = 1 / (1j * omega + 3.0)
-    measured = replace(exact, response=np.repeat(single[:, None], 8, axis=1), sigma=np.full((len(omega), 8), 1e-6))
-    with pytest.raises(AbraceError, match=r"oscillating poles between .* rad/s, expected 3; a longer"):
-        FitsByOrder(measured).starting_poles(3)
-
-
 def test_orders_and_lines_that_cannot_be_are_refused(exact):
     few = replace(exact, omega=exact.omega[:8], response=exact.response[:8], sigma=exact.sigma[:8])
     with pytest.raises(AbraceError, match="order 14 and 8 frequency lines"):
         fit_common_poles(few, 14, np.ones(few.response.shape))
     with pytest.raises(AbraceError, match="not finite"):
         fit_common_poles(replace(exact, response=exact.response * np.nan), 4, np.ones(exact.response.shape))
-    with pytest.raises(AbraceError, match="3 pairs and 5 real poles, expected"):
-        FitsByOrder(exact).starting_poles(3, 5)

@@ -277,7 +277,7 @@ def identify_data(
         whole = observed(records, fitted)
         return find_modes(
             whole,
-            residual_poles(whole[0]),
+            residual_poles(whole[0])[:1],
             MOST_POLES,
             lambda modes: progress(f"modes: {modes}", 0.1 + 0.6 * modes / (modes + 10)),
             options.pairs,

@@ -23,6 +23,7 @@ from scipy import linalg
 from abrace_sysid.fitting.curve_fit import stacked
 from abrace_sysid.fitting.observation import ENDS, names_of
 from abrace_sysid.fitting.pole_basis import forced, sides_of
+from abrace_sysid.fitting.pole_estimate import columns_of
 from abrace_sysid.fitting.record_columns import RecordColumns
 
 if TYPE_CHECKING:
@@ -60,8 +61,8 @@ class Lines:
     ----------
     observations
         Of the records.
-    above
-        Poles [rad/s] that represent modes above the lines; their residues are free.
+    fixed_poles
+        [rad/s], upper or real ones, with free residues: they represent modes above the lines, and poles of servos.
     at_rest
         Whether all records begin at rest, so that no pole has a free decay.
 
@@ -75,14 +76,16 @@ class Lines:
         Of each record, indices of its inputs among all.
     groups
         Outputs of the same records whose noise has one spectrum.
+    per_input
+        Number of columns of each input that do not depend on a pole: its direct term, and those of the fixed poles.
     fixed
-        Columns that do not depend on a pole, real parts above imaginary ones.
+        All columns that do not depend on a pole, real parts above imaginary ones.
     deviation
         (lines, outputs) standard deviation of the noise, of the outputs of a group in proportion.
     """
 
     def __init__(
-        self, observations: Sequence[Observation], above: NDArray[np.complex128], at_rest: bool = False
+        self, observations: Sequence[Observation], fixed_poles: NDArray[np.complex128], at_rest: bool = False
     ) -> None:
         self.at_rest = at_rest
         self.omega = np.concatenate([one.omega for one in observations])
@@ -107,16 +110,19 @@ class Lines:
         self.measured /= np.sqrt(np.sum(np.abs(self.measured) ** 2, axis=0) / np.sum(self._shown, axis=0))
         unit = dict(zip(inputs, units, strict=True))
         self.observations = tuple(replace(one.in_units(unit), from_rest=at_rest) for one in observations)
-        tails = [forced(above[:1], one.z, one.samplings, one.excitation) for one in self.observations]
-        of_inputs = self.inputs * (1 + 2 * len(above[:1]))
-        of_ends, blocks, kept = len(ENDS) + 1, [], []
-        for number, (one, each) in enumerate(zip(self.observations, tails, strict=True)):
-            ends_of_it = [*(one.z ** -float(sample) for sample in ENDS), one.z / (one.z - 1)]
-            blocks.append(stacked(np.column_stack([one.excitation, *each, *ends_of_it])))
-            inputs_of_it = self.places[number]
-            twice = (self.inputs + np.column_stack([2 * inputs_of_it, 2 * inputs_of_it + 1])).ravel()[: len(each)]
-            kept.append(np.concatenate([inputs_of_it, twice, of_inputs + of_ends * number + np.arange(of_ends)]))
-        self.fixed = self._columns(of_inputs + of_ends * len(blocks), kept, blocks)
+        self.per_input = 1 + columns_of(fixed_poles)[-1].stop if len(fixed_poles) else 1
+        count, blocks, kept = self.inputs * self.per_input, [], []
+        for one, own in zip(self.observations, self.places, strict=True):
+            of_inputs = [
+                [drive, *forced(fixed_poles, one.z, [sampling], drive[:, None])]
+                for sampling, drive in zip(one.samplings, one.excitation.T, strict=True)
+            ]
+            ends_of_it = [*(one.z ** -float(sample) for sample in ENDS), one.z / (one.z - 1)] if one.is_record else []
+            blocks.append(stacked(np.column_stack([*itertools.chain(*of_inputs), *ends_of_it])))
+            driven = (self.per_input * own[:, None] + np.arange(self.per_input)).ravel()
+            kept.append(np.concatenate([driven, count + np.arange(len(ends_of_it))]))
+            count += len(ends_of_it)
+        self.fixed = self._columns(count, kept, blocks)
         self.groups = [np.array([o]) for o in range(self.outputs)]
         if self.outputs > APART:
             patterns = np.unique(self.present, axis=1).T
@@ -135,8 +141,8 @@ class Lines:
 
     @property
     def free_parts(self) -> int:
-        """Number of real unknowns of a pole's free decays: two for each output and record."""
-        return 2 * int(self.present.sum())
+        """Number of real unknowns of a pole's free decays: two for each output and record with leakage."""
+        return 2 * int(self.present[[one.transient for one in self.observations]].sum())
 
     def level(self) -> NDArray[np.float64]:
         """(lines,) the noise's standard deviation, over the outputs measured the geometric mean, median of each 1."""
@@ -186,7 +192,7 @@ class Lines:
                 for j in range(len(one.inputs)):
                     above, below = (one.state(side, j)[part] for side in sides)
                     _fill(real, imaginary, own * i + 2 * j, above, below, -pole.real)
-                if not self.at_rest:
+                if own > 2 * len(one.inputs):
                     sampling = one.samplings[0]
                     above, below = (sampling.transient(side, one.z)[part] for side in sides)
                     size = -pole.real * sampling.sample_period
@@ -198,7 +204,11 @@ class Lines:
     def of_record(self, number: int) -> NDArray[np.int64]:
         """Which of a pole's columns the record of this number has."""
         inputs = self.places[number]
-        decay = [] if self.at_rest else [2 * (self.inputs + number), 2 * (self.inputs + number) + 1]
+        decay = (
+            []
+            if self.at_rest or not self.observations[number].transient
+            else [2 * (self.inputs + number), 2 * (self.inputs + number) + 1]
+        )
         return np.array([*np.column_stack([2 * inputs, 2 * inputs + 1]).ravel(), *decay])
 
     def _columns(
@@ -326,7 +336,8 @@ class LineFit:
         """(lines, outputs, inputs) the forced response to each input."""
         lines, m = self.lines, self.lines.inputs
         start = lines.per_pole * len(self.poles)
-        found = np.repeat(self.coefficients[start : start + m].T[None].astype(np.complex128), len(lines.omega), axis=0)
+        direct = self.coefficients[start : start + m * lines.per_input : lines.per_input]
+        found = np.repeat(direct.T[None].astype(np.complex128), len(lines.omega), axis=0)
         if not len(self.poles):
             return found
         own = self.coefficients[:start].reshape(len(self.poles), lines.per_pole, lines.outputs)

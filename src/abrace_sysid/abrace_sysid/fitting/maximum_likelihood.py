@@ -130,6 +130,7 @@ def fit_poles(
         alike = Likelihood.at([replace(one, weight=1.0) for one in observations], inputs, found) or likelihood
     coefficients = np.array([one.coefficients for one in alike.channels])
     size = len(likelihood.gradient)
+    unknowns = sum(int(np.count_nonzero(one.coefficients) + np.sum(one.places >= 0)) for one in likelihood.channels)
     whole = np.full((size, size), np.nan)
     if spread != "none":
         whole = covariance(likelihood, alike if spread == "joint" else None)
@@ -139,7 +140,7 @@ def fit_poles(
         of_modes,
         likelihood.cost,
         sum(observation.measured.size for observation in observations) * 2,
-        size + sum(np.count_nonzero(each) for one in likelihood.channels for each in (one.coefficients, one.places >= 0)),
+        size + unknowns,
         inputs,
         outputs,
         found.drive / unit,

@@ -108,7 +108,7 @@ class FoundModes:
 
 def find_modes(
     observations: Sequence[Observation],
-    above: NDArray[np.complex128],
+    fixed_poles: NDArray[np.complex128],
     most: int,
     progress: Callable[[int], None] = lambda _modes: None,
     given: int = 0,
@@ -119,8 +119,8 @@ def find_modes(
     ----------
     observations
         Of the records, with their free decays.
-    above
-        Poles [rad/s] that represent modes above the lines.
+    fixed_poles
+        As of `Lines`.
     most
         Greatest number of poles.
     progress
@@ -133,7 +133,7 @@ def find_modes(
     AbraceError
         If the records do not have so many pairs.
     """
-    lines = Lines(observations, above)
+    lines = Lines(observations, fixed_poles)
     most = max(most, given)
     if given > (enough := lines.values // (1 + lines.forced_parts + lines.free_parts)):
         raise AbraceError(f"identification: {given} modes, expected at most {enough} of {len(lines.omega)} lines")
@@ -148,9 +148,9 @@ def find_modes(
     noise = noise_of(fit, LAST_STEPS)
     lines.deviation = np.sqrt(noise.variance)
     fit = refined(lines, fit.poles, 30, 1e-4)
-    if len(fit.poles):
+    if len(fit.poles) and all(one.record for one in observations):
         # free decays cost certainty: of what is excited at the end of a record, and if there is but one hit
-        still = Lines(observations, above, at_rest=True)
+        still = Lines(observations, fixed_poles, at_rest=True)
         still.deviation = lines.deviation
         alone = refined(still, fit.poles, 15, 1e-3)
         if alone.misfit < fit.misfit + chi2.isf(REST_CHANCE, lines.free_parts * len(fit.poles)):

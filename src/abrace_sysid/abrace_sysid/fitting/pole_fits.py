@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poles of the table tests, of the command tests and of both, by vector fitting or by maximum likelihood.
 
-- vector_fitting: common poles of all channels of the transfer functions; shapes and drives for these poles from the
-  spectra, by one linear least-squares problem
-- maximum_likelihood: these poles refined on the spectra, with leakage, the servos' real poles and delays in the model,
+The number of modes is found from the spectra (`servo_forms.rig_modes`).
+
+- vector_fitting: so many common poles of all channels of the transfer functions; shapes and drives for these poles from
+  the spectra, by one linear least-squares problem
+- maximum_likelihood: the modes refined on the spectra, with leakage and the servos' real poles and delays in the model,
   and confidence intervals
 """
 
@@ -20,10 +22,10 @@ from abrace_sysid.fitting.covariance import LEAST_PIECES
 from abrace_sysid.fitting.likelihood import FASTEST
 from abrace_sysid.fitting.maximum_likelihood import fit_again, fit_poles
 from abrace_sysid.fitting.observation import Observation
-from abrace_sysid.fitting.order_selection import Order, no_modes, search_order
 from abrace_sysid.fitting.pole_estimate import TESTS
 from abrace_sysid.fitting.residual_weights import weighed
-from abrace_sysid.fitting.vector_fitting import FitsByOrder, modes_of, vector_fitting
+from abrace_sysid.fitting.servo_forms import ServoForm, fit_rig, no_modes, rig_modes
+from abrace_sysid.fitting.vector_fitting import modes_of, vector_fitting
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -128,12 +130,12 @@ def _of_tests_with_all_inputs(
     table: InputTests, commands: Sequence[InputTests], options: IdentificationOptions
 ) -> PoleEstimate:
     """The modes of tests in which table and commands were excited at once by noise."""
-    responses = [side_by_side([data.responses[0] for data in (table, *commands)])]
     pairs, groups = options.modes, len(commands)
     tests = _observations([table])
     if options.method == "vector_fitting":
-        return _vector_fitted(tests, responses, 2 * groups, pairs)
-    first = search_order(tests, responses, _servos(groups), groups, pairs)
+        response = side_by_side([data.responses[0] for data in (table, *commands)])
+        return _vector_fitted(tests, response, 2 * groups, pairs)
+    first = fit_rig(tests, _servos(groups), groups, pairs)
     tests, found = _with_noise_as_found(tests, first, pairs)
     return fit_poles(tests, found, spread="joint")
 
@@ -148,23 +150,23 @@ def _of_tests_apart(
     by_likelihood, groups, pairs = options.method == "maximum_likelihood", len(commands), options.modes
     top, highest = (data.responses[0].omega[-1] for data in (table, commands[0]))
     progress("poles of the table tests", 0.5)
-    from_table, measured = _observations([table]), [table.responses[0]]
+    from_table = _observations([table])
     if by_likelihood:
-        of_table = search_order(from_table, measured, [Order(0, 1), Order(0, 0)])
+        of_table = fit_rig(from_table, [ServoForm(1), ServoForm(0)])
         from_table, of_table = _with_noise_as_found(_without_decay([table], from_table, of_table), of_table)
     else:
-        of_table = _vector_fitted(from_table, measured, 1)
+        of_table = _vector_fitted(from_table, table.responses[0], 1)
     progress("poles of the command tests", 0.6)
     from_command = _observations(commands)
-    responses = [data.responses[0] for data in commands]
-    # multisines share the lines: the lines of each are too far apart for interpolation
-    together = responses if commands[0].periodic else [side_by_side(responses)]
     if by_likelihood:
-        of_command = search_order(from_command, together, _servos(groups), groups, pairs)
+        of_command = fit_rig(from_command, _servos(groups), groups, pairs)
         undecayed = _without_decay(commands, from_command, of_command)
         from_command, of_command = _with_noise_as_found(undecayed, of_command, pairs)
     else:
-        of_command = _vector_fitted(from_command, together, 2 * groups, pairs)
+        responses = [data.responses[0] for data in commands]
+        # multisines share the lines: the lines of each are too far apart for interpolation
+        response = responses[0] if commands[0].periodic else side_by_side(responses)
+        of_command = _vector_fitted(from_command, response, 2 * groups, pairs)
 
     progress("poles of both tests", 0.75)
     poles, drive = of_command.poles, of_command.drive
@@ -185,21 +187,17 @@ def _of_tests_apart(
 
 
 def _vector_fitted(
-    observations: Sequence[Observation], measured: Sequence[FrequencyResponse], reals: int, pairs: int = 0
+    observations: Sequence[Observation], measured: FrequencyResponse, reals: int, given: int = 0
 ) -> PoleEstimate:
-    """The modes with the poles of vector fitting of the first response.
+    """The modes with the poles of vector fitting of a response.
 
-    `reals`: number of the servos' real poles; `pairs`: of pole pairs; 0: those of the least order whose error is within
-    the uncertainty.
+    `reals`: number of the servos' real poles; `given`: of modes; 0: as many as the observations have.
     """
-    one = measured[0]
-    fits = FitsByOrder(one)
-    order = fits.order_of(pairs) if pairs else fits.order()
-    # over all lines, which weigh alike: a line's own uncertainty is small at a resonance, where errors are large
-    fit = vector_fitting(one, 2 * len(fits.modes(order)[: pairs or None]) + reals)
-    modes = modes_of(fit, one)[: pairs or None]
+    pairs = given or len(rig_modes(observations))
+    fit = vector_fitting(measured, 2 * pairs + reals)
+    modes = modes_of(fit, measured)[:pairs]
     real = _reals(fit.poles)
-    real = real[(-real.real > one.omega[0]) & (-real.real < FASTEST / one.sample_period)]
+    real = real[(-real.real > measured.omega[0]) & (-real.real < FASTEST / measured.sample_period)]
     return fit_poles(observations, np.concatenate([_upper(modes), real]), most=0, spread="none")
 
 
@@ -223,10 +221,10 @@ def _with_noise_as_found(
     return [replace(one, weight=1 / again.inflation) for one in found], again
 
 
-def _servos(groups: int) -> list[Order]:
+def _servos(groups: int) -> list[ServoForm]:
     """Forms of the servos: with slow pole, lag and delay first, then simpler ones."""
-    forms = [Order(0, 2, "delay", groups == 1), Order(0, 2, "lag", groups == 1), Order(0, 2), Order(0, 1), Order(0, 0)]
-    return forms if groups == 1 else [*forms, Order(0, 2, "delay")]
+    forms = [ServoForm(2, "delay", groups == 1), ServoForm(2, "lag", groups == 1), ServoForm(2)]
+    return [*forms, *([ServoForm(2, "delay")] if groups > 1 else []), ServoForm(1), ServoForm(0)]
 
 
 def _pairs_at(estimate: PoleEstimate, places: NDArray[np.int64]) -> tuple[PoleInterval, ...]:

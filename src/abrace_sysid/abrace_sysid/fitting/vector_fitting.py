@@ -12,7 +12,7 @@ Poles outside the unit circle are mirrored into it before the next iteration. Th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +24,6 @@ from abrace_sysid.fitting.curve_fit import (
     require_stable,
     stacked,
     triangular_factor,
-    uncertainty_weights,
 )
 
 if TYPE_CHECKING:
@@ -34,33 +33,13 @@ if TYPE_CHECKING:
 
 ITERATIONS = 30
 
-START_ITERATIONS, START_LINES, START_CONVERGED = 10, 1000, 1e-3
-"""Iterations and lines of the fits of rising order, and the relative movement of every pole that ends them."""
-
-WITHIN = 1.0
-"""The order is enough if the mean square error, in units of each value's uncertainty, is not greater."""
-
-BETTER, IN_VAIN = 0.8, 2
-"""An order is better if this error is less than so much of the least one before; so many orders in vain end it."""
-
-MOST_ORDER = 120
-
 CONVERGED = 1e-6
 """Relative movement of every pole that ends the iterations."""
-
-START_CHANNELS, RANDOM_CHANNELS = 12, 6
-"""Number of sums of channels in which starting poles are searched, if there are more channels: strongest and random."""
 
 START_DAMPING = 0.01
 
 HEAVY_DAMPING = 0.3
 """Pairs with more damping are not modes of a building: they compensate for errors of the model."""
-
-APART = 0.7
-"""Ratio of the starting values of several servos' slow poles."""
-
-MORE = 3
-"""Orders beyond the least one at which starting poles are searched."""
 
 
 @dataclass(frozen=True)
@@ -163,127 +142,11 @@ def fit_common_poles(
     return VectorFit(poles, residues, strength, squares / measured.response.size)
 
 
-class FitsByOrder:
-    """Fits of one transfer function with rising order, each computed once: the number of modes, and starting poles.
-
-    Values are weighted by their uncertainty: robust if the peaks of a short test are biased.
-
-    Parameters
-    ----------
-    measured
-        The response.
-    """
-
-    def __init__(self, measured: FrequencyResponse) -> None:
-        self.measured = _strongest_channels(thinned(measured, START_LINES))
-        self._weights = uncertainty_weights(self.measured.response, self.measured.sigma)
-        self._fits: dict[int, VectorFit] = {}
-
-    def of_order(self, order: int) -> VectorFit:
-        """The fit with `order` poles."""
-        if order not in self._fits:
-            self._fits[order] = fit_common_poles(self.measured, order, self._weights, START_ITERATIONS, START_CONVERGED)
-        return self._fits[order]
-
-    def modes(self, order: int) -> NDArray[np.complex128]:
-        """The modes of the fit with `order` poles, the strongest first."""
-        return modes_of(self.of_order(order), self.measured)
-
-    def order(self) -> int:
-        """The least even order whose error is within the uncertainty, or after which it hardly decreases."""
-        best, least, in_vain = 2, np.inf, 0
-        for order in range(2, min(MOST_ORDER, len(self.measured.omega) - 2), 2):
-            misfit = self.of_order(order).misfit
-            in_vain += 1
-            if misfit < BETTER * least:
-                best, least, in_vain = order, misfit, 0
-            if least <= WITHIN or in_vain == IN_VAIN:
-                break
-        return best
-
-    def order_of(self, pairs: int) -> int:
-        """The least order, from 2 `pairs` on, whose fit has so many modes.
-
-        Raises
-        ------
-        AbraceError
-            If too few modes are found.
-        """
-        for order in range(2 * pairs, 2 * pairs + MORE * 2 + 1):
-            found = self.modes(order)
-            if len(found) >= pairs:
-                return order
-        raise AbraceError(
-            f"starting poles: {len(found)} oscillating poles between {self.measured.omega[0]:.3g} and "
-            f"{self.measured.omega[-1]:.3g} rad/s, expected {pairs}; a longer or stronger test, or fewer pairs, may "
-            "help"
-        )
-
-    def starting_poles(self, pairs: int, reals: int = 0, groups: int = 1) -> NDArray[np.complex128]:
-        """Poles from which `maximum_likelihood.fit_poles` starts.
-
-        Parameters
-        ----------
-        pairs
-            Number of pairs; the strongest ones are used.
-        reals
-            Real poles of each servo. 0: none; 1: a slow pole at the slowest pair's frequency (the servo's integral
-            action); 2: also a fast one, whose time constant is half a sample period (the servo's lag).
-        groups
-            Number of servos.
-
-        Returns
-        -------
-        NDArray
-            (pairs + reals groups,) [rad/s], pairs slowest first, then the slow and the fast ones.
-
-        Raises
-        ------
-        AbraceError
-            If too few oscillating poles are found.
-        """
-        if pairs < 1 or not 0 <= reals <= 2:
-            raise AbraceError(f"starting poles: {pairs} pairs and {reals} real poles, expected 1 or more, and 0 to 2")
-        found = self.modes(self.order_of(pairs))[:pairs]
-        found = found[np.argsort(np.abs(found))]
-        slow = -np.abs(found[0]) * APART ** np.arange(groups)
-        fast = np.full(groups, -2 / self.measured.sample_period)
-        return np.concatenate([found, slow, fast])[: pairs + reals * groups]
-
-
 def modes_of(fit: VectorFit, measured: FrequencyResponse) -> NDArray[np.complex128]:
     """The poles of a `fit` that are modes: stable, oscillating within the band `measured`; the strongest first."""
     within = (fit.poles.imag > measured.omega[0]) & (fit.poles.imag < measured.omega[-1])
     modes = np.flatnonzero(within & (fit.poles.real < 0) & (-fit.poles.real < HEAVY_DAMPING * np.abs(fit.poles)))
     return np.asarray(fit.poles[modes[np.argsort(-fit.strength[modes], kind="stable")]])
-
-
-def thinned(measured: FrequencyResponse, lines: int) -> FrequencyResponse:
-    """The estimate `measured` at every second, third ... line, so that about `lines` are left."""
-    chosen = slice(None, None, max(1, len(measured.omega) // lines))
-    return replace(
-        measured, omega=measured.omega[chosen], response=measured.response[chosen], sigma=measured.sigma[chosen]
-    )
-
-
-def _strongest_channels(measured: FrequencyResponse) -> FrequencyResponse:
-    """Sums of channels that contain most of their power: a few sums with the same poles replace many channels.
-
-    Channels are weighted by the ratio of response to noise.
-    """
-    if len(measured.outputs) <= START_CHANNELS + RANDOM_CHANNELS:
-        return measured
-    noise = np.sqrt(np.mean(measured.sigma**2, axis=0))
-    unit = np.maximum(noise, 1e-9 * np.sqrt(np.mean(np.abs(measured.response) ** 2, axis=0)))
-    unit[unit == 0] = 1.0
-    scaled = measured.response / unit
-    strongest = np.linalg.svd(np.vstack([scaled.real, scaled.imag]), full_matrices=False)[2][:START_CHANNELS].T
-    # a narrow mode has little power: random sums of channels show it, too
-    drawn = np.random.default_rng(0).standard_normal((len(unit), RANDOM_CHANNELS)) / np.sqrt(len(unit))
-    share = np.hstack([strongest, drawn])
-    sigma = np.sqrt((measured.sigma / unit) ** 2 @ share**2)
-    names = tuple(f"sum {i}" for i in range(share.shape[1]))
-    return replace(measured, outputs=names, response=scaled @ share, sigma=sigma)
 
 
 def _fractions(z: NDArray[np.complex128], a: NDArray[np.complex128]) -> NDArray[np.complex128]:
