@@ -2,7 +2,6 @@
 """Processes: found, started, watched, stopped, and none left behind."""
 
 import contextlib
-import fcntl
 import os
 import select
 import shutil
@@ -20,7 +19,6 @@ from abrace.processes.group import NodeDied, NodeProcess, ProcessGroup, Terminat
 from abrace.processes.group import terminate_as_exception as terminating
 from abrace.processes.launcher import is_running
 from abrace.processes.parameter_file import parameter_file
-from abrace.processes.shared_memory import remove_stale_segments
 from abrace_core import AbraceError, RunFailed
 
 PATIENCE = 30.0
@@ -53,23 +51,6 @@ def start_ready(group: ProcessGroup, folder: Path, name: str, code: str) -> Node
     process = group.start(name, python(code), log)
     until(lambda: "ready" in log.read_text(), f"{name} to be ready")
     return process
-
-
-def test_shared_memory_is_removed_where_no_node_holds_it_any_more(tmp_path):
-    names = {kind: f"fastrtps_{number:016x}" for number, kind in enumerate(("killed", "living", "being made"))}
-    for kind, name in names.items():
-        for ending in ("", "_el"):
-            (tmp_path / f"{name}{ending}").write_text("")
-        if kind != "being made":
-            os.utime(tmp_path / f"{name}_el", (1.0, 1.0))
-    (tmp_path / "fastrtps_port7000_el").write_text("")
-    (tmp_path / "other").write_text("")
-    with (tmp_path / f"{names['living']}_el").open("rb") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        remove_stale_segments(tmp_path)
-    left = {path.name for path in tmp_path.iterdir()}
-    kept = {f"{names[kind]}{ending}" for kind in ("living", "being made") for ending in ("", "_el")}
-    assert left == kept | {"fastrtps_port7000_el", "other"}
 
 
 def test_stop_lets_a_process_close_on_sigint(tmp_path):

@@ -7,17 +7,17 @@ import time
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from outcomes import Outcomes, one, read_outcomes
 from processes import end_leftovers, left_by_earlier_runs, run, stopping
 from stages import PytestStage, Stage
 
-from abrace.processes.shared_memory import remove_stale_segments
+from abrace_node.shared_memory import remove_stale_segments
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
 WHOLE = 80 * 60.0
 """Longest time of all stages with what is run again [s]."""
@@ -89,7 +89,7 @@ class Runner:
         left = self._end - time.monotonic()
         if left <= 0 or stopping.is_set():
             return f"not run: {'interrupted' if stopping.is_set() else f'{self.whole / 60:.0f} minutes are over'}"
-        remove_stale_segments(Path("/dev/shm"))
+        remove_stale_segments()
         command = (*stage.command, *arguments)
         how = run(command, stage.environment, min(limit, left), self._log(stage), stage.name, follow)
         for said in end_leftovers(stage.name):

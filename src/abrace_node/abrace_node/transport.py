@@ -27,6 +27,8 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from abrace_node.shared_memory import remove_stale_segments
+
 STREAM_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 """QoS of the rig's subscriptions to `brace_command` and `ground_motion`: only the newest late messages matter."""
 KEPT_STREAM_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
@@ -90,9 +92,11 @@ def is_lockstep() -> bool:
 def profile(streams: bool) -> Iterator[None]:
     """Set the DDS profile of the participant created within the block: of a node that `streams`, or of another one.
 
+    Shared memory that killed nodes have left is removed before.
     No profile is set if the environment has one of CHOICES, nor for a node that streams if ROS_STATIC_PEERS is set and
     the discovery range is LOCALHOST.
     """
+    remove_stale_segments()
     reach = os.environ.get(_RANGE, "")
     local = streams and reach.upper() == "LOCALHOST"
     if any(name in os.environ for name in CHOICES) or (local and os.environ.get("ROS_STATIC_PEERS")):

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from abrace.processes.launcher import POLL_PERIOD, Launcher, end, send
-from abrace.processes.shared_memory import remove_stale_segments
 from abrace_core import AbraceError, RunFailed
 from abrace_core.files.suggestion import expected_of
 from abrace_node.executable import NO_ROS
@@ -174,8 +173,7 @@ class ProcessGroup:
         self._ended: list[NodeProcess] = []
 
     def __enter__(self) -> ProcessGroup:
-        """Start the launcher, if it does not run yet, and remove what killed nodes have left in shared memory."""
-        remove_stale_segments(Path("/dev/shm"))
+        """Start the launcher, if it does not run yet."""
         if not launcher().runs:
             launcher.cache_clear()
         self._launcher = launcher()

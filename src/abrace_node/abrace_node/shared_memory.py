@@ -7,18 +7,16 @@ import fcntl
 import re
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
+FOLDER = Path("/dev/shm")
 SEGMENT_LOCK = re.compile(r"(fastrtps_[0-9a-f]{16})_el")
 """Of Fast DDS: the lock of a segment, which its node holds as long as it lives; then the segment's own name."""
 YOUNG = 60.0
 """Seconds in which a lock may have been made, but not taken yet."""
 
 
-def remove_stale_segments(folder: Path) -> None:
+def remove_stale_segments(folder: Path = FOLDER) -> None:
     """Remove the segments in a `folder` whose lock nobody holds, as `fastdds shm clean` does; not those of others."""
     latest = time.time() - YOUNG
     for lock in folder.glob("fastrtps_*_el"):
