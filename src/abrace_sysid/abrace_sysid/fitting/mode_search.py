@@ -204,7 +204,7 @@ def _reported(fit: LineFit, found: LineNoise, given: int = 0) -> FoundModes:
     for i in np.flatnonzero(driven & ~is_mode):
         usual, start = careful.copy(), parameters_of(fit.poles)
         usual[i], start[i, 1] = CAREFUL, max(start[i, 1], np.log(CAREFUL[0]))
-        new = refined(lines, poles_of(start), 30, 1e-3, usual)
+        new = refined(lines, poles_of(start), 10, 1e-2, usual)
         if new.misfit < fit.misfit + CARE:
             fit, careful = new, usual
     cost = (found.cost + _threshold(lines, found) * len(fit.poles)) / len(lines.omega)
