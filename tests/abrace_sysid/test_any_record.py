@@ -410,3 +410,12 @@ def test_the_candidates_of_many_records_are_those_of_one():
 
 def candidates(lines):
     return _candidates(lines, lines.measured)[0]
+
+
+def test_a_pair_above_the_lines_is_said_to_be_no_mode():
+    options = DataOptions(inputs=("force",), sample_rate=RATE, band=(0.5, 6.0))
+    found = identify_data(options.read(record("noise", noise=0.001))[0], options)
+    assert found.fitted == (0.5, 6.0)
+    assert np.abs(found.estimate.poles[~found.is_mode]) == pytest.approx([2 * np.pi * 8.2], rel=0.01)
+    (said,) = found.warnings
+    assert said == "data: a pair stands for what lies above the lines that were fitted, not for a mode"

@@ -144,6 +144,15 @@ def test_forms_that_fail_say_why(rig, true, monkeypatch):
         fit_rig([lines.thinned(12)], [ServoForm(2)])
 
 
+def test_a_mode_that_becomes_unstable_is_left_out_of_the_forms(rig, true, monkeypatch):
+    lines = Observation.of_response(periodic(rig, 1), "periodic")
+    grown = 1.0 / (1j * lines.omega - (0.1 + 80j)) + 1.0 / (1j * lines.omega - (0.1 - 80j))
+    changed = lines.measured + 0.02 * np.abs(lines.measured).max(axis=0) * grown[:, None]
+    monkeypatch.setattr(servo_forms, "rig_modes", lambda *_: np.append(true[:6], -0.1 + 80j))
+    found = fit_rig([replace(lines, measured=changed)], [ServoForm(2)])
+    assert [pair.frequency for pair in found.pairs()] == pytest.approx(np.abs(true[:6]), rel=0.02)
+
+
 def test_a_test_without_modes_is_an_error_that_says_what_to_do(rig):
     measured = periodic(rig, 1, 800)
     single = np.repeat(1 / (1j * measured.omega[:, None] + 3.0), 8, axis=1)

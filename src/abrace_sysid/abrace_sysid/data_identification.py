@@ -61,6 +61,9 @@ BEYOND = 1.5
 HIGHEST = 0.48
 """Highest frequency that is fitted by default, times the sample period: beyond it no filter is steep enough."""
 
+NEAR_TOP = 0.95
+"""A pair that is not sure beyond this share of the highest frequency fitted stands for what lies above."""
+
 MOST_POLES = 60
 """Most pole pairs that are searched, and of a model."""
 
@@ -146,6 +149,8 @@ class DataIdentification:
         The records used, each without its channels that do not respond to the inputs, the others moved in time.
     band
         [Hz] of the transfer functions: what the inputs excite, or as given.
+    fitted
+        [Hz] of the lines to which the modes were fitted.
     responses
         Transfer functions from each input.
     estimate
@@ -165,6 +170,7 @@ class DataIdentification:
     tests: tuple[Test, ...]
     records: tuple[Test, ...]
     band: tuple[float, float]
+    fitted: tuple[float, float]
     responses: tuple[FrequencyResponse, ...]
     estimate: PoleEstimate
     is_mode: NDArray[np.bool_]
@@ -194,11 +200,15 @@ class DataIdentification:
                 f"{self.source}: the clock of {name} is {clock.words()} against that of the inputs: use one clock for "
                 "all channels, or resample this one"
             )
-        for place in np.flatnonzero(~self._listed):
-            size = abs(self.estimate.poles[place]) / (2 * np.pi)
+        sizes = np.sort(np.abs(self.estimate.poles[: len(self.is_mode)][~self._listed])) / (2 * np.pi)
+        above = sizes > NEAR_TOP * self.fitted[1]
+        for size in sizes[~above]:
             texts.append(
                 f"{self.source}: a pair at {size:.4g} Hz predicts, but is too uncertain to be listed as a mode"
             )
+        if above.any():
+            who = "a pair stands" if above.sum() == 1 else f"{above.sum()} pairs stand"
+            texts.append(f"{self.source}: {who} for what lies above the lines that were fitted, not for a mode")
         for pole in self.not_driven:
             size = abs(pole) / (2 * np.pi)
             texts.append(
@@ -333,7 +343,7 @@ def identify_data(
     clocks = _clocks(model, used)
     progress("identified", 1.0)
     return DataIdentification(
-        tests, used, band, responses, estimate, found.is_mode, found.not_driven, model, delays, clocks
+        tests, used, band, fitted, responses, estimate, found.is_mode, found.not_driven, model, delays, clocks
     )
 
 

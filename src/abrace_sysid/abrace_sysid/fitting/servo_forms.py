@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from abrace_core import AbraceError
+from abrace_sysid.fitting.curve_fit import UnstablePolesError
 from abrace_sysid.fitting.maximum_likelihood import fit_again, fit_poles
 from abrace_sysid.fitting.mode_search import find_modes
 from abrace_sysid.fitting.residual_terms import residual_poles
@@ -159,7 +160,7 @@ def fit_rig(
         if best is not None and form.reals < best_form.reals - 1:
             continue
         try:
-            trial = fit_with_form(few, modes, form, groups)
+            trial = _stable_fit(few, modes, form, groups)
         except AbraceError as error:
             reasons.append(f"{form.reals} real poles: {error}")
             continue
@@ -174,6 +175,20 @@ def fit_rig(
             f"{'; '.join(reasons)}"
         )
     return (fit_poles if given else fit_again)(observations, best, spread="none")
+
+
+def _stable_fit(
+    observations: Sequence[Observation], modes: NDArray[np.complex128], form: ServoForm, groups: int
+) -> PoleEstimate:
+    """As `fit_with_form`, without the modes that become unstable: friction can look like a second copy of one."""
+    while True:
+        try:
+            return fit_with_form(observations, modes, form, groups)
+        except UnstablePolesError as error:
+            kept = ~error.unstable[: len(modes)]
+            if kept.all() or not kept.any():
+                raise
+            modes = modes[kept]
 
 
 def no_modes(estimate: PoleEstimate, lines: NDArray[np.float64]) -> list[PoleInterval]:
