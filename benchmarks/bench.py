@@ -165,6 +165,9 @@ def identification_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     rows.append(("reading a bag of 600 s, s", f"{found['read_seconds']:.2f}", "1", "-", "-"))
     rows.append(("from two tests of 600 s to the models, s", f"{found['fit_seconds']:.2f}", "3", "-", "-"))
+    whole, alone = found["fit_seconds"] + found["judge_seconds"], found["vector_fitting_seconds"]
+    columns = (f"by vector fitting {alone:.2f}", f"{alone / whole:.2f}")
+    rows.append(("the same, and judged, s", f"{whole:.2f}", "0.2 x", *columns))
     ratio = f"{peer['time_ratio']:.2f}"
     rows.append(("vector fitting, s", f"{peer['our_seconds']:.2f}", "-", f"scikit-rf {peer['seconds']:.2f}", ratio))
     likely = peer["maximum_likelihood"]

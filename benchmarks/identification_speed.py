@@ -2,7 +2,8 @@
 """Speed of identification, from bags of 600 s to the model, against its peers in one run, on one core and one thread.
 
 read_seconds   `read_run` of one bag, 300 000 samples of all channels to arrays
-fit_seconds    `identify`, from the two tests read to the models
+fit_seconds    `identify`, from the two tests read to the models; judge_seconds: `judge` of these
+vector_fitting_seconds   the same with `method="vector_fitting"`, which searches the modes' number in the same way
 scikit_rf      scikit-rf's VectorFitting and our `vector_fitting` on the same transfer functions, those of both tests,
                all channels; the errors are the worst of the rig's poles, three from the table and six from the command
 
@@ -15,8 +16,8 @@ logarithmically end at the same poles in the same time. With two poles more it f
 long for every run of this: once, 198 s for 0.0007 % in frequency and 0.08 % in damping; with other noise 13 s for
 0.0007 % and 0.04 %.
 
-`maximum_likelihood` is how `identify` finds its poles, starting poles and the fit of both tests together included; it
-sees the tests' spectra, not their transfer functions.
+`maximum_likelihood` is how `identify` finds its poles, the search of the modes and the fit of both tests together
+included; it sees the tests' spectra, not their transfer functions.
 
 The best of a few runs counts, the first of ours not; peers run twice.
 
@@ -181,6 +182,7 @@ def measure() -> dict[str, Any]:
     from abrace_plant.rig.file import load_rig
     from abrace_sysid.fitting.options import IdentificationOptions
     from abrace_sysid.identification import identify
+    from abrace_sysid.validity.judgement import judge
 
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     rig = load_rig(SOURCE / "abrace_plant/config/ncree_three_storey.yaml")
@@ -199,6 +201,7 @@ def measure() -> dict[str, Any]:
     by_vector_fitting = IdentificationOptions(method="vector_fitting")
     found["vector_fitting_seconds"] = best_of(REPEATS, lambda: identify(table, command, by_vector_fitting))
     identified = identify(table, command)
+    found["judge_seconds"] = best_of(REPEATS, lambda: judge(identified))
     found["scikit_rf"] = vector_fits(identified, rig)
     return found
 

@@ -9,12 +9,15 @@ from scipy import signal
 from scipy.interpolate import CubicSpline
 
 from abrace_core import AbraceError
-from abrace_sysid.data_identification import DataOptions, identify_data, observed, variance_accounted_for
+from abrace_core.model.verdict import Verdict
+from abrace_sysid.data_identification import DataOptions, identify_data, observed, predicted, variance_accounted_for
 from abrace_sysid.fitting.line_fit import LineFit, Lines, parameters_of, poles_of, refined
 from abrace_sysid.fitting.line_noise import noise_of
+from abrace_sysid.fitting.maximum_likelihood import fit_poles
 from abrace_sysid.fitting.mode_search import _candidates, find_modes
 from abrace_sysid.recorded.test import Test
 from abrace_sysid.spectra.estimation import frequency_responses
+from abrace_sysid.validity.judgement import identify_and_judge
 
 FREQUENCY, DAMPING = np.array([2.1, 5.3, 8.2]), np.array([0.012, 0.006, 0.01])
 SHAPES, DRIVE = np.array([[1.0, 0.8, -0.5], [0.6, -0.9, 0.9]]), np.array([1.0, 0.7, -0.9])
@@ -329,14 +332,13 @@ def test_records_with_other_outputs_make_one_model():
     assert all(one.damping_deviation < 0.8 * alone.damping_deviation for one, alone in both)
     whole = read(record("noise", noise=0.0, seed=9))
     assert variance_accounted_for(found.model, whole).min() > 0.999
-    # each output from the records that have it
-    assert variance_accounted_for(found.model, setups) == pytest.approx(
-        [
-            variance_accounted_for(found.model.select([name]), [one for one in setups if name in one.names])[0]
-            for name in ("y1", "y2")
-        ],
-        abs=1e-12,
-    )
+    y1 = found.model.select(["y1"])
+    # each output from the records that have it, long ones count more
+    first, other = setups[0], setups[2].part(0, 1300)
+    missed = sum(len(one.outputs) * np.var(one.outputs - predicted(y1, one)) for one in (first, other))
+    moved = sum(len(one.outputs) * np.var(one.outputs) for one in (first, other))
+    shares = variance_accounted_for(found.model, [first, setups[1], other])
+    assert shares[0] == pytest.approx(1 - missed / moved, abs=1e-12)
     with pytest.raises(AbraceError, match="setup 4: no channel 'y1', it has y2"):
         variance_accounted_for(found.model, setups[1])
     (response,) = found.responses
@@ -357,7 +359,10 @@ def test_a_sensor_that_is_dead_in_one_record_is_used_in_the_other():
 def test_noise_of_outputs_that_other_records_have_is_each_record_s_own():
     loud = read(record("noise", noise=0.3, seed=4))
     both = Lines(observed([setup(["y1"], 3), loud.select(["y2", "y1"])], (0.0, 20.0)), NONE)
-    noise = np.sqrt(noise_of(LineFit.at(both, TRUE)).variance)
+    fit = LineFit.at(both, TRUE)
+    noise = np.sqrt(noise_of(fit).variance)
+    first = np.r_[both.rows[0], len(both.omega) + np.r_[both.rows[0]]]
+    assert not fit.residual[first, 1].any(), "an output that is not measured is not fitted"
     quiet, second = (np.median(noise[rows], axis=0) for rows in both.rows)
     assert second[0] / quiet[0] == pytest.approx(30, rel=0.3)
     assert both.present.tolist() == [[True, False], [True, True]]
@@ -419,3 +424,34 @@ def test_a_pair_above_the_lines_is_said_to_be_no_mode():
     assert np.abs(found.estimate.poles[~found.is_mode]) == pytest.approx([2 * np.pi * 8.2], rel=0.01)
     (said,) = found.warnings
     assert said == "data: a pair stands for what lies above the lines that were fitted, not for a mode"
+
+
+def test_an_output_by_itself_is_as_certain_as_beside_another():
+    columns = record("noise", seed=3)
+    (whole,) = observed([read(columns | {"y1": 1e4 * columns["y1"], "y2": 1e3 * columns["y2"]})], (0.0, 12.0))
+    apart = [replace(whole, outputs=(name,), measured=whole.measured[:, [i]]) for i, name in enumerate(whole.outputs)]
+    together, split = (fit_poles(each, TRUE) for each in ([whole], apart))
+    assert split.outputs == together.outputs
+    assert split.poles == pytest.approx(together.poles, rel=1e-6)
+    assert split.shapes * split.drive.T == pytest.approx(together.shapes * together.drive.T, rel=1e-4)
+    for one, other in zip(split.pairs(), together.pairs(), strict=True):
+        assert one.frequency_deviation == pytest.approx(other.frequency_deviation, rel=0.3)
+        assert one.damping_deviation == pytest.approx(other.damping_deviation, rel=0.3)
+
+
+def test_setups_are_judged_each_by_its_own_outputs():
+    options = DataOptions(inputs=("force",), sample_rate=RATE, held_out=0.3)
+    found, held_out, judged = identify_and_judge([setup(["y1"], 3), setup(["y2"], 5)], options)
+    assert [one.names for one in held_out] == [("y1",), ("y2",)]
+    assert [one.test.outputs for one in judged.residuals] == [("y1",), ("y2",)]
+    assert judged.validity.verdict is Verdict.TRUST
+    assert variance_accounted_for(found.model, held_out).min() > 0.99
+
+
+def test_an_input_that_is_called_w_is_held_where_it_is_said_to_be():
+    a, b, c, d, period = signal.cont2discrete(signal.tf2ss([1600.0], [1, 0.8, 1600.0]), 0.05, "zoh")
+    held = np.random.default_rng(4).normal(size=3000)
+    moved = signal.dlsim((a, b, c, d, period), held)[1]
+    test = Test.from_arrays({"w": held, "y": moved[:, 0]}, ["w"], sample_rate=20.0, hold="zero")
+    found = identify_data(test)
+    assert variance_accounted_for(found.model, test)[0] > 1 - 1e-9

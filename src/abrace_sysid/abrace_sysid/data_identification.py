@@ -539,7 +539,7 @@ def predicted(model: LinearModel, data: Test, band: tuple[float, float] | None =
     inputs, offset = inputs - inputs.mean(axis=0), measured.mean(axis=0)
     samples = len(inputs)
     if not model.sample_period and data.hold != "band":
-        model = discretize(model, data.sample_period)
+        model = discretize(model, data.sample_period, data.holds)
     if model.sample_period:
         forced = simulate(model, inputs)
     else:

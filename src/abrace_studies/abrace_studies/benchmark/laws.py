@@ -80,7 +80,7 @@ def designed(benchmark: AnyBenchmark, weights: str) -> Controller:
     )
     model, period = benchmark.design_model, benchmark.plant.sample_period
     given = load_weights(find_file(weights, "abrace_lqg", "config", ".yaml", "weights"))
-    given = scaled_weights(model, given, period, capacity.tolist(), excitation_of(model))
+    given = scaled_weights(model, given, period, capacity.tolist(), excitation_of(model, sample_period=period))
     found = design(model, given, period)
     return Controller(
         name=weights,

@@ -36,7 +36,7 @@ class RecordColumns:
     blocks: tuple[NDArray[np.float64], ...]
 
     def beside(self, other: RecordColumns) -> RecordColumns:
-        """These columns, and those of another after them, of the same records."""
+        """These columns, and those of an `other` after them, of the same records."""
         places = tuple(
             np.concatenate([mine, self.count + theirs]) for mine, theirs in zip(self.places, other.places, strict=True)
         )
@@ -44,21 +44,21 @@ class RecordColumns:
         return replace(self, count=self.count + other.count, places=places, blocks=blocks)
 
     def weighted(self, weight: NDArray[np.float64]) -> RecordColumns:
-        """The rows times a weight (rows,); without the records where it is zero."""
+        """The rows times a `weight` (rows,); without the records where it is zero."""
         kept = [i for i, rows in enumerate(self.rows) if weight[rows[0]]]
         rows, places = (tuple(each[i] for i in kept) for each in (self.rows, self.places))
         blocks = tuple(self.blocks[i] * weight[self.rows[i], None] for i in kept)
         return replace(self, rows=rows, places=places, blocks=blocks)
 
     def times(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(rows, k) the columns times coefficients (columns, k)."""
+        """(rows, k) the columns times `coefficients` (columns, k)."""
         found = np.zeros((self.height, coefficients.shape[1]))
         for rows, places, block in zip(self.rows, self.places, self.blocks, strict=True):
             found[rows] = block @ coefficients[places]
         return found
 
     def onto(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(columns, k) the products of the columns with values (rows, k)."""
+        """(columns, k) the products of the columns with `values` (rows, k)."""
         found = np.zeros((self.count, values.shape[1]))
         for rows, places, block in zip(self.rows, self.places, self.blocks, strict=True):
             found[places] += block.T @ values[rows]
@@ -72,7 +72,7 @@ class RecordColumns:
         return found
 
     def products(self, other: RecordColumns) -> NDArray[np.float64]:
-        """(columns, other columns) the products with those of another, of the same records."""
+        """(columns, other columns) the products with those of an `other`, of the same records."""
         found = np.zeros((self.count, other.count))
         every = zip(self.places, self.blocks, other.places, other.blocks, strict=True)
         for mine, block, theirs, beside in every:

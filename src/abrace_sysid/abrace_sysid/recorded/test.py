@@ -18,7 +18,7 @@ from abrace_bags import Bag
 from abrace_bags.sequence import breaks
 from abrace_core import AbraceError
 from abrace_core.files.options import NonNegative, Options
-from abrace_core.files.table import Column, Table, array_table
+from abrace_core.files.table import LONGEST_STEP, Column, Table, array_table
 from abrace_core.files.table_files import read_table
 from abrace_core.files.units import unit_as_stated
 from abrace_core.model import signals
@@ -33,12 +33,16 @@ if TYPE_CHECKING:
     import pandas
     from numpy.typing import ArrayLike, NDArray
 
+    from abrace_core.model.discretization import Hold
+
 InputHold = Literal["zero", "first", "band"]
 """Zero-order hold, linear between samples (first-order hold), or band-limited below half the sample rate and sampled
 like the outputs, so that the response is that of the continuous structure."""
 
 MARGIN = 200
 """Samples by which a record is continued at its ends before its outputs are moved in time."""
+AGREES = 0.01
+"""Share by which a sample rate that is given may differ from that of times that are not asked for."""
 
 DataHold = Literal["band", "zero"]
 TestHold = Literal["rig", "band", "zero"]
@@ -233,7 +237,7 @@ class Test:
         if not isinstance(sample_rate, Real):
             raise AbraceError(f"{source}: sample_rate {sample_rate!r}, expected a number of Hz")
         if not arrays.columns:
-            raise AbraceError(f"{source}: no array of real numbers, expected at least one")
+            raise AbraceError(f"{source}: {arrays.left_out or 'no array of real numbers, expected at least one'}")
         columns, asked = _asked(arrays, [*inputs, *outputs, *([time] if time else [])])
         if not outputs:
             columns |= {name: column for name, column in _others(arrays, asked).items() if name not in columns}
@@ -244,6 +248,8 @@ class Test:
             times = [column.name for column in arrays.columns if column.is_time]
             hint = f", such as time={times[0]!r}" if times else ""
             raise AbraceError(f"{source}: sample_rate 0 Hz and time '', expected one of the two{hint}")
+        if given and not time:
+            _require_agreement(arrays, given)
         lengths = {name: len(columns[name].cells) for name in columns}
         if len(set(lengths.values())) > 1:
             (one, other), *_ = [(a, b) for a in columns for b in columns if lengths[a] < lengths[b]]
@@ -292,6 +298,11 @@ class Test:
     def hold_of(self, name: str) -> InputHold:
         """The hold of the input `name`."""
         return HOLDS.get(name, "zero") if self.hold == "rig" else self.hold
+
+    @property
+    def holds(self) -> dict[str, Hold]:
+        """By input whether its value is held between samples, or linear; not of a band-limited test."""
+        return {name: "first" if self.hold_of(name) == "first" else "zero" for name in self.inputs}
 
     def channel(self, name: str) -> NDArray[np.float64]:
         """(samples,) the input or output `name`."""
@@ -380,19 +391,21 @@ class Test:
         return found
 
     def in_si_units(self) -> Test:
-        """The same test with a rig's signals in SI units; itself where they are.
+        """The same test with its signals in SI units, as far as their units are known; itself where they are.
 
         Raises
         ------
         AbraceError
-            If one of them has a unit that cannot be converted.
+            If a rig's signal has a unit that cannot be converted.
         """
-        wanted = {name: signals.unit(name) for name in self.units if signals.unit(name) != "-"}
-        factors = {name: si_factor(name, self.units[name], f"{self.source}: channel")[0] for name in wanted}
-        if all(factor == 1 for factor in factors.values()):
+        found = {name: si_factor(name, unit, f"{self.source}: channel") for name, unit in self.units.items()}
+        units = {name: unit for name, (_, unit) in found.items()}
+        if units == self.units:
             return self
-        into, out_of = (np.array([factors.get(name, 1.0) for name in names]) for names in (self.inputs, self.names))
-        units = {**self.units, **wanted}
+        into, out_of = (
+            np.array([found[name][0] if name in found else 1.0 for name in names])
+            for names in (self.inputs, self.names)
+        )
         return replace(self, excitation=self.excitation * into, outputs=self.outputs * out_of, units=units)
 
     def is_same(self, other: Test) -> bool:
@@ -411,15 +424,36 @@ def _asked(table: Table, names: Sequence[str]) -> tuple[dict[str, Column], set[i
             plain = [column.name for column in table.columns]
             if plain.count(name) > 1 or known.count(name) > 1:
                 raise AbraceError(f"{table.source}: columns named twice: {name}; expected each name once")
-        places = signals.positions(missing, known, f"{table.source}: no column")
+        left_out = table.left_out and f" {table.left_out};"
+        places = signals.positions(missing, known, f"{table.source}:{left_out} no column")
         found |= {name: table.columns[i] for name, i in zip(missing, places, strict=True)}
     columns = {name: column for name, column in found.items() if column is not None}
     return columns, {i for i, each in enumerate(table.columns) if any(each is column for column in columns.values())}
 
 
+def _require_agreement(table: Table, given: float) -> None:
+    """Refuse a sample period [s] that the file's own times contradict, although they were not asked for."""
+    for column in [each for each in table.columns if each.is_time]:
+        try:
+            step, _ = table.sampling(column)
+        except AbraceError:
+            continue  # perhaps of something else
+        known = column.unit or column.as_seconds.unit or step < LONGEST_STEP
+        if known and abs(step / given - 1) > AGREES:
+            times = f"the times {column.written} are of {1 / step:.6g} Hz"
+            raise AbraceError(f"{table.source}: sample_rate {1 / given:g} Hz, but {times}; expected the same")
+    stated = table.sample_period
+    if stated and abs(stated / given - 1) > AGREES:
+        raise AbraceError(f"{table.source}: sample_rate {1 / given:g} Hz, but the file states {1 / stated:.6g} Hz")
+
+
 def _others(table: Table, asked: set[int]) -> dict[str, Column]:
-    """The columns of numbers that are not asked for, by their names without units where these differ."""
-    others = [(i, column) for i, column in enumerate(table.columns) if not (i in asked or column.is_dates)]
+    """The columns of numbers, but of times, that are not asked for, by their names without units where these differ."""
+    others = [
+        (i, column)
+        for i, column in enumerate(table.columns)
+        if not (i in asked or column.is_dates or (column.is_time and table.rises(column)))
+    ]
     short = [column.name for column in table.columns]
     names = [column.name if short.count(column.name) == 1 and column.name else table.names[i] for i, column in others]
     once(names, table.source)
@@ -447,6 +481,13 @@ class TableOptions(Options):
     )
 
 
+def is_table(given: Any) -> bool:
+    """Whether what was `given` has columns: a file that is no bag, a DataFrame, or arrays by name."""
+    if isinstance(given, str | Path):
+        return not Path(given).is_dir() and Path(given).suffix not in ("", ".mcap", ".db3")
+    return hasattr(given, "keys")
+
+
 def given_tests(given: Any, columns: Mapping[str, Any] | None = None) -> tuple[Test, ...]:
     """The tests that were `given`, one or several `AnyTest`.
 
@@ -466,12 +507,10 @@ def given_tests(given: Any, columns: Mapping[str, Any] | None = None) -> tuple[T
         raise AbraceError("no test given, expected at least one")
     found: list[Test] = []
     for one in each:
-        is_file = (
-            isinstance(one, str | Path) and not Path(one).is_dir() and Path(one).suffix not in ("", ".mcap", ".db3")
-        )
-        if columns is not None and (is_file or hasattr(one, "keys")):
-            found.append(Test.read(one, **columns) if is_file else Test.from_arrays(one, **columns))
-        elif isinstance(one, str | Path):
+        is_path = isinstance(one, str | Path)
+        if columns is not None and is_table(one):
+            found.append(Test.read(one, **columns) if is_path else Test.from_arrays(one, **columns))
+        elif is_path:
             found += [Test.of(run) for run in Bag(one).tests()]
         elif isinstance(one, Test | Run):
             found.append(one if isinstance(one, Test) else Test.of(one))

@@ -156,7 +156,7 @@ def residual_of_data(test: Test, model: LinearModel, band: tuple[float, float]) 
         [Hz].
     """
     lines = Observation.of_test(test, model.inputs, band, model.outputs)
-    whole = model if test.hold == "band" else discretize(model, test.sample_period)
+    whole = model if test.hold == "band" else discretize(model, test.sample_period, test.holds)
     left = lines.measured - np.einsum("lom,lm->lo", whole.frequency_response(lines.omega), lines.excitation)
     even = np.ones(left.shape)
     left = _without_transient(left, lines, model, even)
