@@ -40,7 +40,7 @@ def test_linear_algebra_has_one_thread_within_and_as_many_as_before_after_an_err
         ("data", "identify_ambient", "AmbientOptions.read", ("quiet",)),
         ("data", "identify_data", "DataOptions.read", ("data.csv", ["u"])),
         ("controllers", "design", "model_of", ("model.json", "weights.yaml")),
-        ("validation", "validate", "given_tests", ("test", "model.json")),
+        ("validation", "validate", "model_of", ("test", "model.json")),
     ],
 )
 def test_what_takes_long_in_python_has_one_thread(module, function, called, given, monkeypatch):

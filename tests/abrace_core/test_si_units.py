@@ -89,11 +89,9 @@ def test_a_unit_that_is_not_known_or_of_another_quantity_is_refused(units, messa
         in_si_units(replace(storey(), units=units))
 
 
-def test_a_signal_that_is_no_rigs_keeps_a_unit_that_is_not_known_but_a_command_is_a_force():
+def test_a_signal_that_is_no_rigs_keeps_a_unit_that_is_not_known():
     model = replace(storey(), inputs=("w", "valve"), outputs=("strain", "a1"), units={"valve": "V", "strain": "V"})
     assert in_si_units(model) == model
-    with pytest.raises(AbraceError, match=r"^model input valve in 'V': expected N"):
-        in_si_units(model, forces=["valve"])
 
 
 def test_units_are_kept_by_selection_sampling_and_delays():

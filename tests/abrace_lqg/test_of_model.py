@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from abrace_core import AbraceError
-from abrace_lqg.proof.limits import excitation_of, force_limit_of, sample_period_of
+from abrace_lqg.proof.limits import DesignOptions, excitation_of, force_limit_of, sample_period_of
 from abrace_plant.rig.file import load_rig
 
 SOURCE = Path(__file__).parents[2] / "src"
@@ -48,7 +48,9 @@ def test_without_either_nothing_is_assumed(rig):
         AbraceError, match="sample_period: not given, and the model's file does not have it, expected s"
     ):
         sample_period_of(model)
-    with pytest.raises(AbraceError, match=r"force_limit: not given, .* expected N for U1, U2"):
+    with pytest.raises(
+        AbraceError, match=r"force_limit: not given, .* expected the greatest of U1 \[N\], U2 \[N\], or a rig"
+    ):
         force_limit_of(model)
 
 
@@ -59,3 +61,10 @@ def test_the_band_of_ground_motions_includes_the_slowest_mode(rig, times, band):
     found = excitation_of(model)
     assert (found.rms, found.band) == (0.25, pytest.approx(band, rel=0.01))
     assert excitation_of(model, 0.1, (1.0, 2.0)).band == (1.0, 2.0)
+
+
+def test_the_band_of_ground_motions_ends_at_half_the_sample_rate_unless_it_is_given(rig):
+    assert excitation_of(rig.model, sample_period=0.1).band == (0.3, 5.0)
+    assert excitation_of(rig.model, sample_period=0.002).band == (0.3, 10.0)
+    assert excitation_of(rig.model, 0.25, (0.5, 20.0), 0.1).band == (0.5, 20.0)
+    assert DesignOptions(sample_period=0.1, force_limit=(1e3,)).of_model(rig.model).excitation_band == (0.3, 5.0)

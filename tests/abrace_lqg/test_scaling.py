@@ -13,7 +13,7 @@ from abrace_lqg.analysis.prediction import Excitation, predicted_rms
 from abrace_lqg.design import design
 from abrace_lqg.loop import sampled
 from abrace_lqg.scaling import scaled_weights
-from abrace_lqg.weights import load_weights
+from abrace_lqg.weights import Weights, load_weights
 from abrace_plant.rig.file import load_rig
 
 SOURCE = Path(__file__).parents[2] / "src"
@@ -90,3 +90,15 @@ def test_each_command_needs_a_force_limit(five):
 def test_weights_that_are_not_scaled_yet_make_no_controller(five):
     with pytest.raises(AbraceError, match="weights with a scale"):
         design(five.model, load_weights(SOURCE / "abrace_lqg/config/half.yaml"), PERIOD)
+
+
+@pytest.mark.parametrize("scale", [None, {"force": 0.3}, {"reduction": 0.5}])
+def test_a_design_whose_weights_are_all_zero_says_so_also_where_they_are_to_be_scaled(five, scale):
+    zero = dict.fromkeys(("displacement", "stroke", "acceleration", "force"), 0.0) | {"command": 1.0}
+    content = {"measured": ["a*"], "noise_to_excitation": 0.2, "weights": zero, "scale": scale}
+    with pytest.raises(AbraceError, match="all weights but that of the command are zero"):
+        design(
+            five.model,
+            scaled_weights(five.model, Weights.model_validate(content), PERIOD, five.capacity.tolist(), EXCITATION),
+            PERIOD,
+        )

@@ -32,6 +32,7 @@ from abrace_studies.exploration.study import Outcome, Study, evaluate
 from abrace_studies.exploration.weight_sets import weight_sets
 from abrace_studies.fragility.study import Fault
 from abrace_studies.ground_motions import GroundMotion, noise_motion
+from abrace_studies.options import ExploreOptions
 
 PERIOD = 0.01
 MASS, CAPACITY = 1000.0, np.array([2000.0])
@@ -105,6 +106,26 @@ def test_the_first_sets_are_the_same_however_many_there_are_and_others_with_anot
 def test_spans_that_vary_nothing_or_have_wrong_bounds_are_refused(spans, expected):
     with pytest.raises(AbraceError, match=expected):
         weight_sets(given(), spans, 4, 0)
+
+
+def test_weights_by_name_have_a_span_each_and_kinds_without_weight_none():
+    by_name = Weights.model_validate(
+        {"measured": ["acc 2"], "signals": {"laser": 1e8, "acc 2": 0.0, "shaker": 4.0}, "noise_to_excitation": 0.1}
+    )
+    spans = ExploreOptions(signals=(-1.0, 2.0)).spans(by_name, ["acc 2", "laser"])
+    assert spans == {"noise_to_excitation": (-1.0, 1.0), "signals.laser": (-1.0, 2.0)}
+    first, *others = weight_sets(by_name, spans, 40, 1)
+    assert first == by_name
+    factors = np.log10([one.signals["laser"] / 1e8 for one in others])
+    assert -1.0 <= factors.min() < -0.8
+    assert 1.8 < factors.max() <= 2.0
+    assert all(one.signals["shaker"] == 4.0 and one.weights == by_name.weights for one in others)
+    asked = ExploreOptions(displacement=(-1.0, 0.0)).spans(by_name, ["laser"])
+    with pytest.raises(AbraceError, match="span of displacement: the weight is given as 0"):
+        weight_sets(by_name, asked, 4, 1)
+    assert set(ExploreOptions().spans(given(), ["x1"])) == {*KindWeights.model_fields, "noise_to_excitation"} - {
+        "command"
+    }
 
 
 def test_an_outcome_is_what_the_simulated_loop_does():
@@ -237,7 +258,7 @@ def test_a_study_whose_parts_do_not_fit_is_refused(change, expected):
 
 
 def test_a_set_is_written_as_weights_and_as_the_controller_that_was_tried(outcomes, tmp_path):
-    save_exploration(tmp_path, study(), outcomes, storey(), {"seed": 0})
+    save_exploration(tmp_path, study(), outcomes, (storey(), storey()), {"seed": 0})
     rows = list(csv.DictReader(io.StringIO((tmp_path / "exploration.csv").read_text())))
     assert [int(row["set"]) for row in rows] == list(range(25))
     assert float(rows[3]["x1_rms"]) == outcomes[3].relative["x1"].rms
@@ -266,7 +287,9 @@ def test_a_set_is_written_as_weights_and_as_the_controller_that_was_tried(outcom
 
 
 def test_a_set_of_a_model_that_is_not_to_be_trusted_is_refused(outcomes, tmp_path):
-    save_exploration(tmp_path, study(), outcomes, storey(), {}, distrust=["model/validity.json says don't trust"])
+    save_exploration(
+        tmp_path, study(), outcomes, (storey(), storey()), {}, distrust=["model/validity.json says don't trust"]
+    )
     with pytest.raises(AbraceError, match=r"model/validity\.json says don't trust \(accept: \[untrusted_model\]"):
         write_set(tmp_path, 6)
 
@@ -279,7 +302,7 @@ def test_measured_quantities_may_have_a_wildcard(tmp_path):
 
 def test_an_infinite_margin_is_null_in_the_file(outcomes, tmp_path):
     unlimited = replace(outcomes[0], margins=Margins(np.inf, 90.0, np.inf, 1.0))
-    save_exploration(tmp_path, study(), [unlimited], storey(), {})
+    save_exploration(tmp_path, study(), [unlimited], (storey(), storey()), {})
     (found,) = json.loads((tmp_path / "exploration.json").read_text())["sets"]
     assert found["margins"] == {"gain_db": None, "phase_deg": 90.0, "delay": None, "sensitivity_peak": 1.0}
     assert found["relative"]["x1"] == outcomes[0].relative["x1"]._asdict()
@@ -299,7 +322,7 @@ def test_the_report_lists_the_front_from_least_to_most_force(outcomes):
     assert len(rows) > 2
     assert forces == sorted(forces)
     assert responses == sorted(responses, reverse=True)
-    assert PeakRms(*(round(value) for value in outcomes[int(rows[0][0])].command)).rms == forces[0]
+    assert forces[0] == pytest.approx(outcomes[int(rows[0][0])].command.rms, rel=1e-3)
 
 
 def test_sets_of_weights_are_tried_on_a_rig_with_two_brace_groups():

@@ -86,6 +86,10 @@ def test_drifts_are_differences_of_floors():
     plant = with_drifts(RIG.model)
     assert plant.outputs[-3:] == ("d1", "d2", "d3")
     assert np.array_equal(plant.c[-2], RIG.model.c[1] - RIG.model.c[0])
+    assert plant.unit("d2") == "m"
+    own = RIG.model.select(["x1", "a1"])
+    own = replace(own, outputs=("x1", "d1"))
+    assert with_drifts(own).outputs == ("x1", "d1"), "an output of its own has this name"
 
 
 def test_batches_are_fixed_by_the_study_and_hold_every_case_once(monkeypatch):
@@ -224,7 +228,9 @@ def test_a_median_without_an_upper_end_is_written_and_drawn(tmp_path):
     exceeded[7, 1:] = 1
     curve = fragility_curve(intensity, loops, exceeded)
     subject = Subject("damper", "none", {"d1": curve}, np.array([1e3, 2e3, 3e3]), np.zeros(3))
-    found = Fragility(tmp_path, {"d1": 0.01}, INTENSITIES, (replace(subject, controller="zero command"), subject))
+    found = Fragility(
+        tmp_path, {"d1": 0.01}, INTENSITIES, (replace(subject, controller="zero command"), subject), units={"d1": "m"}
+    )
     save(found)
     assert re.search(r"damper: d1 above 0.01 m: median \S+ m/s\^2 \(\S+ or more\), dispersion", found.text())
     (_, row) = json.loads((tmp_path / "fragility.json").read_text(encoding="utf-8"))["curves"]

@@ -176,3 +176,78 @@ def test_a_rigs_tests_from_a_file_or_from_arrays_are_those_of_its_bag(short_test
         given_tests([])
     with pytest.raises(AbraceError, match="test 5: expected a Test, a Run, or the folder of a bag"):
         given_tests([5])
+
+
+ROWS = np.arange(600)
+FORCE, MOTION = np.sin(0.07 * ROWS), np.cos(0.03 * ROWS)
+CLOCK = 0.02 * ROWS
+
+
+def structure(values):
+    """Simulink's structure with time."""
+    return {"time": CLOCK[:, None], "signals": {"values": values, "dimensions": 1.0, "label": ""}, "blockName": "m/log"}
+
+
+@pytest.mark.parametrize(
+    ("variables", "asked"),
+    [
+        ({"t": CLOCK, "F": FORCE[None, :], "resp": np.vstack([MOTION, 2 * MOTION])}, {"time": "t"}),
+        (
+            {"F": structure(FORCE[:, None]), "resp": structure(np.column_stack([MOTION, 2 * MOTION]))},
+            {"time": "F.time"},
+        ),
+        ({"F": structure(FORCE[:, None]), "resp": structure(np.column_stack([MOTION, 2 * MOTION]))}, {"time": "time"}),
+        (
+            {"F": structure(FORCE[:, None]), "resp": structure(np.column_stack([MOTION, 2 * MOTION]))},
+            {"sample_rate": 50.0},
+        ),
+    ],
+)
+def test_rows_and_simulinks_structures_are_columns_by_their_names(tmp_path, variables, asked):
+    io.savemat(tmp_path / "test.mat", variables)
+    for outputs in (["resp_1", "resp_2"], []):
+        test = Test.read(tmp_path / "test.mat", ["F"], outputs, **asked)
+        assert (test.inputs, test.names) == (("F",), ("resp_1", "resp_2")), "times are no outputs"
+        assert test.sample_period == pytest.approx(0.02)
+        np.testing.assert_array_equal(test.channels(["F", "resp_1", "resp_2"]).T, [FORCE, MOTION, 2 * MOTION])
+
+
+def test_a_recording_of_dspace_has_its_series_by_the_last_part_of_their_names(tmp_path):
+    series = np.zeros((1, 2), dtype=[("Name", object), ("Data", object)])
+    series[0, 0], series[0, 1] = ("model/table/w", FORCE[None, :]), ("model/roof/a1", MOTION[None, :])
+    axis = np.zeros((1, 1), dtype=[("Name", object), ("Data", object)])
+    axis[0, 0] = ("HostService", CLOCK[None, :])
+    io.savemat(tmp_path / "test.mat", {"run_7": {"X": axis, "Y": series}})
+    test = Test.read(tmp_path / "test.mat", ["w"], ["a1"], time="run_7.time")
+    assert test.sample_period == pytest.approx(0.02)
+    np.testing.assert_array_equal(test.channels(["w", "a1"]).T, [FORCE, MOTION])
+
+
+def test_records_in_the_third_dimension_are_named(tmp_path):
+    io.savemat(tmp_path / "test.mat", {"records": np.ones((150, 3, 4)), "u": FORCE})
+    with pytest.raises(
+        AbraceError, match="records is 150 x 3 x 4, expected each record of it as a matrix of its own; no"
+    ):
+        Test.read(tmp_path / "test.mat", ["records_1"], ["records_2"], 50.0)
+
+
+@pytest.mark.parametrize(
+    ("clock", "rate", "known"),
+    [
+        ({"t": CLOCK}, 50.0, True),
+        ({"t": CLOCK}, 100.0, False),
+        ({"time [ms]": 1e3 * CLOCK}, 100.0, False),
+        ({"t": pandas.Timestamp("2026-03-01") + pandas.to_timedelta(CLOCK, unit="s")}, 100.0, False),
+        ({"dt": np.array(0.02)}, 100.0, False),
+        ({"time": ROWS.astype(float)}, 100.0, True),  # numbers of samples
+    ],
+)
+def test_a_sample_rate_that_contradicts_the_files_own_times_is_refused(clock, rate, known):
+    def read():
+        return Test.from_arrays(clock | {"F": FORCE, "x": MOTION}, ["F"], ["x"], rate)
+
+    if known:
+        assert read().sample_period == 1 / rate
+        return
+    with pytest.raises(AbraceError, match=r"sample_rate 100 Hz, but the (times .* are of|file states) 50 Hz"):
+        read()

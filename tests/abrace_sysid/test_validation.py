@@ -3,11 +3,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from abrace_core import AbraceError
+from abrace_core.model.linear_model import LinearModel
 from abrace_core.model.verdict import Verdict
+from abrace_sysid.figures.validation import time_histories
 from abrace_sysid.recorded.test import Test
-from abrace_sysid.validation import compare, predicted
+from abrace_sysid.validation import ValidateOptions, compare, predicted, read_test
 from abrace_sysid.validity.finding import prediction_finding
 
 
@@ -101,8 +104,6 @@ def test_model_controller_and_run_of_different_rigs_are_refused(rig, laboratory,
         compare(replace(run, sequence=2 * run.sequence), rig.model)
     with pytest.raises(AbraceError, match="2 tests, expected one"):
         compare([run, run], rig.model)
-    with pytest.raises(AbraceError, match="hold 'band', expected a test of a rig"):
-        compare(replace(Test.of(run), hold="band"), rig.model)
 
 
 def test_a_test_is_compared_as_its_run_is_and_with_fewer_channels_those_alone(rig, laboratory, controller):
@@ -181,3 +182,129 @@ def test_a_test_in_g_and_a_model_in_mm_and_kn_are_compared_in_si_units(rig, comm
     np.testing.assert_allclose(found.simulated, expected.simulated, rtol=1e-6, atol=1e-9)
     with pytest.raises(AbraceError, match="channel a1 in 'V': expected m/s"):
         compare(replace(test, units={"a1": "V"}), rig.model, None, rig.capacity)
+
+
+PERIOD = 0.005
+G = 9.80665
+SHAFT = np.array([[0.0, 1.0], [-900.0, -1.2]]), np.array([[0.0], [0.5]])
+"""A mass of 2 kg at 4.8 Hz, pushed by a force [N]: displacement [m] and speed."""
+
+
+def of_data(laser: float = 1e3, **provenance: object) -> LinearModel:
+    """That mass as identified: from `shaker` [N] to its acceleration `acc 1` [g] and to `laser` [mm]."""
+    a, b = SHAFT
+    units = {"shaker": "N", "acc 1": "g", "laser": "mm"}
+    facts = {"data": "first.csv", "hold": "zero", "options": {"time": "time", "sample_rate": 0.0}, **provenance}
+    c, d = np.array([a[1] / G, [laser, 0.0]]), np.array([[0.5 / G], [0.0]])
+    return LinearModel(a, b, c, d, ("shaker",), ("acc 1", "laser"), units=units, provenance=facts)
+
+
+def pushed(force, start=(0.0, 0.0)):
+    """(samples,) acceleration [m/s^2] and displacement [m] under a held force [N], stepped by its own transition."""
+    a, b = SHAFT
+    whole = expm(np.block([[a, b], [np.zeros((1, 3))]]) * PERIOD)
+    state, found = np.array(start), []
+    for each in force:
+        found.append((a[1] @ state + 0.5 * each, state[0]))
+        state = whole[:2, :2] @ state + whole[:2, 2] * each
+    return np.array(found).T
+
+
+@pytest.fixture
+def second(tmp_path):
+    """Another record, that begins in motion; the laser has an offset of 40 mm."""
+    force = np.random.default_rng(4).standard_normal(4000)
+    acceleration, displacement = pushed(force, (0.002, 0.05))
+    table = np.column_stack([np.arange(4000) * PERIOD, force, acceleration / G, 1e3 * displacement + 40.0])
+    names = "time [s],shaker [N],acc 1 [g],laser [mm]"
+    np.savetxt(tmp_path / "second.csv", table, delimiter=",", header=names, comments="")
+    return tmp_path / "second.csv"
+
+
+def compared(given, model, **options):
+    return compare(read_test(given, model, ValidateOptions(**options)), model)
+
+
+def test_a_model_of_data_predicts_a_file_of_its_columns(second):
+    found = compared(str(second), of_data())
+    assert (found.names, found.commands, found.left_out) == (("acc 1", "laser"), (), ())
+    assert found.units == {"shaker": "N", "acc 1": "m/s^2", "laser": "m"}
+    force = np.random.default_rng(4).standard_normal(4000)
+    for j, expected in enumerate(pushed(force, (0.002, 0.05))):
+        for one in (found.measured, found.simulated):
+            np.testing.assert_allclose(one[:, j], expected - expected.mean(), atol=2e-3 * expected.std())
+    assert predicted(found).verdict == Verdict.TRUST
+    labels = [axis.get_ylabel() for axis in time_histories(found, ["laser", "acc 1"]).figure().axes]
+    assert labels == ["laser [m]", "error [m]", "acc 1 [m/s^2]", "error [m/s^2]"]
+
+
+def test_a_gain_that_is_a_tenth_too_large_is_found(second):
+    found = compared(str(second), of_data(laser=1.1e3))
+    errors = found.normalised_rms_error()
+    assert errors["laser"] == pytest.approx(0.1, abs=0.01), "the initial state that fits best is a little off"
+    assert errors["acc 1"] < 0.02
+    assert (predicted(found).verdict, predicted(found).where) == (Verdict.CARE, "laser")
+
+
+def test_a_column_has_the_unit_that_it_states_or_that_of_the_model(second):
+    table = np.loadtxt(second, delimiter=",", skiprows=1)
+    columns = {"time": table[:, 0], "shaker": table[:, 1], "acc 1": table[:, 2], "laser": table[:, 3]}
+    assert predicted(compared(columns, of_data())).verdict == Verdict.TRUST
+    columns["laser [m]"] = columns.pop("laser") / 1e3
+    assert predicted(compared(columns, of_data())).verdict == Verdict.TRUST
+    columns["laser [V]"] = columns.pop("laser [m]")
+    with pytest.raises(AbraceError, match="data: laser in V, expected m, as in the model"):
+        compared(columns, of_data())
+    assert compared(columns, of_data(), outputs=["acc 1"]).names == ("acc 1",)
+
+
+def test_delays_of_the_identification_are_taken_off(second):
+    table = np.loadtxt(second, delimiter=",", skiprows=1)
+    late = {"time": table[4:, 0], "shaker": table[4:, 1], "acc 1": table[4:, 2], "laser": table[:-4, 3]}
+    moved = of_data(output_delays={"laser": 4 * PERIOD})
+    assert compared(late, moved).normalised_rms_error()["laser"] < 0.02
+    assert compared(late, of_data()).normalised_rms_error()["laser"] > 0.1
+
+
+def test_a_dead_sensor_of_data_is_never_trusted(second):
+    table = np.loadtxt(second, delimiter=",", skiprows=1)
+    columns = {"time": table[:, 0], "shaker": table[:, 1], "acc 1": table[:, 2], "laser": np.full(4000, 3.0)}
+    found = predicted(compared(columns, of_data()))
+    assert (found.verdict, found.meaning) == (Verdict.DONT, "laser did not move, against the simulation")
+
+
+def test_a_loop_closed_under_names_of_data_is_compared_with_its_record():
+    law = LinearModel([[0.9]], [[1.0]], [[-2.0]], [[-1.0]], ("acc 1",), ("shaker",), PERIOD)
+    model = of_data()
+    share = np.array([[1.0, 0.5]])  # of a force of the fan acts on the mass
+    model = replace(model, b=model.b @ share, d=model.d @ share, inputs=("shaker", "fan"), input_delay=(0.0, 0.0))
+    fan = np.random.default_rng(5).standard_normal(1500)
+    a, b = SHAFT
+    whole = expm(np.block([[a, b], [np.zeros((1, 3))]]) * PERIOD)
+    state, memory, force, until, rows = np.zeros(2), 0.0, 0.0, 0.0, []
+    for each in fan:
+        total = force + 0.5 * each
+        acceleration = a[1] @ state + 0.5 * total
+        rows.append((acceleration / G, 1e3 * state[0], until))
+        until, force = force, np.clip(-2.0 * memory - acceleration, -0.3, 0.3)
+        memory = 0.9 * memory + acceleration
+        state = whole[:2, :2] @ state + whole[:2, 2] * total
+    rows = np.array(rows)
+    acting = np.append(rows[1:, 2], force)  # from each sample on
+    record = {"shaker": acting, "fan": fan, "acc 1": rows[:, 0], "laser": rows[:, 1]}
+    (test,) = read_test(record, model, ValidateOptions(sample_rate=1 / PERIOD))
+    found = compare(test, model, law, np.array([0.3]))
+    assert found.names == ("acc 1", "laser", "shaker")
+    assert np.abs(found.simulated[:, 2]).max() == 0.3, "the limit has to act in this test"
+    np.testing.assert_allclose(found.simulated, found.measured, atol=1e-6 * np.abs(found.measured).max(axis=0).max())
+    share = np.array([[1.0, 0.0, 1.0]])
+    names, none = ("shaker", "fan", "wind"), (0.0,) * 3
+    three = replace(of_data(), b=of_data().b @ share, d=of_data().d @ share, inputs=names, input_delay=none)
+    with pytest.raises(
+        AbraceError, match="inputs fan, wind that the controller does not command, expected one at most"
+    ):
+        compare(test, three, law, np.array([0.3]))
+    with pytest.raises(AbraceError, match="no channel 'wind', it has shaker, fan, acc 1, laser"):
+        compare(test, three)
+    with pytest.raises(AbraceError, match="the model has no signal fan, expected a model of this structure"):
+        compare(test, of_data())

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from bag_of_run import write_bag
 from forked import run_node
+from scipy import signal
 
 from abrace import simulate
 from abrace_core.files.installed import find_file
 from abrace_core.model.controller_file import load_controller
-from abrace_core.model.linear_model import load_model, pole_table
+from abrace_core.model.linear_model import LinearModel, load_model, pole_table, save_model
 from abrace_core.model.noise import banded_noise
 from abrace_core.model.table_signals import table_noise
 from abrace_plant.rig.file import load_rig
@@ -115,6 +116,30 @@ def test_bags_become_a_model_the_model_a_controller_and_both_are_compared(bags, 
     assert all(
         row["noise_free_error"] <= row["normalised_rms_error"] for row in found["simulated_vs_measured"].values()
     )
+
+
+def test_a_model_of_data_is_validated_with_a_file_of_its_columns(tmp_path):
+    facts = {"data": "first.csv", "hold": "zero", "options": {"time": "time"}}
+    bench = LinearModel([[-3.0]], [[3.0]], [[2e3]], [[0.0]], ("shaker",), ("acc 1",), provenance=facts)
+    save_model(replace(bench, units={"shaker": "N", "acc 1": "mg"}), tmp_path / "model.json")
+    time, force = 0.01 * np.arange(2000), np.random.default_rng(1).standard_normal(2000)
+    state = signal.lfilter([0.0, 1 - np.exp(-0.03)], [1.0, -np.exp(-0.03)], force)  # held for 10 ms
+    table, names = np.column_stack([time, force, 2.0 * state]), "time [s],shaker [N],acc 1 [g]"
+    np.savetxt(tmp_path / "second.csv", table, delimiter=",", header=names, comments="")
+    given = {"test": tmp_path / "second.csv", "model": tmp_path / "model.json", "output": tmp_path / "check"}
+    ended = run_node("abrace_sysid", "validate", **given)
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads((tmp_path / "check/comparison.json").read_text())
+    assert found["simulated_vs_measured"]["acc 1"]["normalised_rms_error"] < 5e-3
+    expected = 2.0 * 9.80665 * np.std(state)
+    assert found["measured"]["acc 1"]["rms"] == pytest.approx(expected, rel=1e-3)
+    assert found["units"] == {"shaker": "N", "acc 1": "m/s^2"}
+    assert (tmp_path / "check/figure_6_time_histories.svg").is_file()
+    ended = run_node("abrace_sysid", "validate", **given, outputs="[laser]")
+    assert ended.returncode == 2
+    assert "second.csv: no column 'laser', it has time [s], shaker [N], acc 1 [g]" in ended.stderr
+    ended = run_node("abrace_sysid", "validate", **given, uncontrolled=tmp_path)
+    assert ended.returncode == 2
 
 
 def test_modes_are_found_without_a_drive_and_a_building_that_is_the_same_has_not_changed(bags, tmp_path):

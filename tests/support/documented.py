@@ -53,6 +53,7 @@ STUDY: dict[str, Any] = {
     "seed": 1,
     "sample_period": 0.002,
     "workers": 1,
+    "disturbance": "w",
 }
 LIMITS: dict[str, Any] = {"limits": {"d1": 0.01}, "intensities": [0.5, 2.0]}
 RUNS: dict[str, tuple[type[Options], list[dict[str, Any]]]] = {
@@ -127,6 +128,9 @@ RUNS: dict[str, tuple[type[Options], list[dict[str, Any]]]] = {
                 "peak_acceleration": [0.5, 1.0],
                 "quantile": 1.0,
                 "force_limit": 2e4,
+                "commands": ["U"],
+                "excitation_rms": 0.3,
+                "signals": (0.0, 0.5),
                 "stroke": (0.0, 0.5),
                 "force": (0.0, 0.5),
                 "drift": (0.0, 0.5),
@@ -405,6 +409,18 @@ CALLS: list[Call] = [
             "controller": d.law,
         },
         lambda it: it.finding.verdict.words in WORDS and it.comparison.simulated_peak_rms()["U"].peak > 0,
+    ),
+    (
+        "validate",
+        lambda d, _: {
+            "test": d.columns,
+            "model": abrace.identify_data(d.columns, ["w"], time="t", hold="zero"),
+            "time": "t",
+            "sample_rate": 50.0,
+            "outputs": ["x1"],
+            "hold": "zero",
+        },
+        lambda it: it.finding.verdict.words in WORDS and it.comparison.names == ("x1",),
     ),
     ("margins", lambda d, _: {"model": d.model, "controller": d.law}, lambda it: it.gain_db > 6.0),
     ("discretize", lambda *_: {"model": RIG, "sample_period": 0.002}, lambda it: it.sample_period == 0.002),

@@ -89,7 +89,7 @@ def design(model: LinearModel, weights: Weights, sample_period: float) -> Contro
         If the model lacks a disturbance, commands or weighed signals, a signal has a unit that cannot be
         converted, a Riccati equation has no accurate stabilising solution, or the closed loop is not stable.
     """
-    model = in_si_units(model, model.inputs[1:])
+    model = in_si_units(model)
     if model.sample_period or signals.GROUND in model.inputs[1:] or len(model.inputs) < 2:
         raise AbraceError(
             f"design: model with inputs {', '.join(model.inputs)} and sample period {model.sample_period} s, "
@@ -117,7 +117,7 @@ def design(model: LinearModel, weights: Weights, sample_period: float) -> Contro
         tuple(weights.measured),
         commands,
         units={name: unit for name, unit in plant.units.items() if name in weights.measured}
-        | {name: "N" for name in commands if signals.unit(name) == "-"},
+        | {name: plant.units.get(name, "N") for name in commands if signals.unit(name) == "-"},
     )
     controller = replace(
         tustin(continuous, sample_period),

@@ -63,7 +63,7 @@ def scaled_weights(
         If a name is none of the model's, there is not one force limit for each command, nothing is there
         to reduce, or no factor reaches the target.
     """
-    model = in_si_units(model, model.inputs[1:])
+    model = in_si_units(model)
     commands = model.inputs[1:]
     if len(force_limit) != len(commands):
         expected = ", ".join(commands)
@@ -117,5 +117,6 @@ def scaled_weights(
     found = reached(low)
     if not abs(found - asked) <= ACCURATE:
         (name,) = weights.scale.model_dump(exclude_none=True)
-        raise AbraceError(f"weights: scale.{name}: {asked:g}, expected {found:.2g} at most on this rig")
+        bound = "most" if found < asked else "least"
+        raise AbraceError(f"weights: scale.{name}: {asked:g}, expected {found:.2g} at {bound} on this rig")
     return with_factor(low)

@@ -139,8 +139,8 @@ class Weights(Checked):
 
     @pydantic.field_validator("relative")
     @classmethod
-    def _of_known_kinds(cls, relative: dict[str, float]) -> dict[str, float]:
-        for name in relative:
+    def _of_known_kinds(cls, relative: dict[str, float], info: pydantic.ValidationInfo) -> dict[str, float]:
+        for name in relative if not info.data.get("signals") else ():  # a model's own names are known with it
             try:
                 signal_kind(name)
             except AbraceError as error:
@@ -195,9 +195,12 @@ class Weights(Checked):
         Raises
         ------
         AbraceError
-            If the outputs do not have what drift and base shear are made of.
+            If the outputs do not have what drift and base shear are made of, or none has a weight.
         """
         names, rows = self._combined(outputs)
+        if not self.diagonal([*outputs, *names]).any():
+            known = ", ".join([*outputs, *names])
+            raise AbraceError(f"weights: all weights but that of the command are zero, expected one above 0 of {known}")
         return (*outputs, *names), np.vstack([np.eye(len(outputs)), *rows])
 
     def _combined(self, outputs: Sequence[str]) -> tuple[list[str], list[NDArray[np.float64]]]:

@@ -258,9 +258,11 @@ def _answer(rig: Rig, given: Controller | Law) -> tuple[Callable[[int, list[floa
     guard = CommandGuard(limit, rig.rate_limit.tolist(), period, RAMP_TIME)
 
     def force(number: int, z: list[float]) -> list[float]:
-        wanted = active.force(z, 0).tolist() if active is not None else law.force(number, z, 0)
-        guard.follow(wanted)
-        if active is not None:
+        if active is None:
+            guard.follow(law.force(number, z, 0))
+        else:
+            active.require_finite(number, z)
+            guard.follow(active.force(z, 0).tolist())
             active.advance(guard.value)
         return guard.value
 
@@ -282,7 +284,7 @@ def _with_roles(model: LinearModel, commands: Sequence[str], disturbance: str, a
     else:
         nothing = model.inputs[0] if at_rest and not commands and signals.GROUND not in model.inputs else ""
         model = with_roles(model, commands or (model.inputs if nothing else ()), disturbance or nothing)
-    return in_si_units(model, model.inputs[1:])
+    return in_si_units(model)
 
 
 def _require_acceleration(record: Any, model: LinearModel) -> None:

@@ -10,7 +10,9 @@ import numpy as np
 
 from abrace.interactive.given import controller_of, model_of, rig_of, several, takes, weights_of
 from abrace.interactive.models import covariance_of, distrust_of
-from abrace_lqg.proof.limits import excitation_of, force_limit_of, of_rig, sample_period_of
+from abrace_core import AbraceError
+from abrace_core.model import signals
+from abrace_lqg.proof.limits import DesignOptions, excitation_of, force_limit_of, of_rig, sample_period_of
 from abrace_lqg.scaling import scaled_weights
 from abrace_studies.batches.loop_extremes import Motions
 from abrace_studies.exploration.explored import Explored
@@ -27,8 +29,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from abrace.interactive.given import AnyController, AnyModel, AnyRig, AnyWeights
+    from abrace_core.model.linear_model import LinearModel
     from abrace_plant.records.record import Record
     from abrace_studies.fragility.assessment import Fragility
+    from abrace_studies.ground_motions import GroundMotion
+    from abrace_studies.options import StudyOptions
 
 PERIOD = 0.002
 """Sample period without a controller [s]."""
@@ -53,7 +58,7 @@ def fragility(
     Parameters
     ----------
     model
-        To simulate with.
+        To simulate with, with inputs and outputs of any names; it is converted to SI units.
     controllers
         To try.
     records
@@ -77,10 +82,12 @@ def fragility(
     limit = linear.provenance.get("force_limit", ()) if rig is None else rig_of(rig).capacity
     tried = tuple(controller_of(each, limit) for each in several(controllers))
     period = checked.sample_period or (tried[0].law.sample_period if tried else PERIOD)
-    motions = [motion.scaled(1.0) for motion in ground_motions(several(records), checked, period)]
+    roles = DesignOptions(commands=tried[0].law.outputs if tried else (), disturbance=checked.disturbance)
     drawn = ensemble(linear, covariance_of(model), checked.models, checked.seed, str(model))
+    models = tuple(roles.for_control(each) for each in drawn)
+    motions = [motion.scaled(1.0) for motion in _motions(models[0], several(records), checked, period)]
     study = FragilityStudy(
-        drawn,
+        models,
         tried,
         faults_of(checked.faults),
         Motions.of(motion.ground_acceleration for motion in motions),
@@ -117,7 +124,8 @@ def explore(
     Parameters
     ----------
     model
-        To design with. Of an identification that is its reduced model, and the full one simulates.
+        To design with, with inputs and outputs of any names. Of an identification that is its reduced model, and the
+        full one simulates.
     weights
         In the middle: weights, their keys and values, their file, or the name of some.
     simulation_model
@@ -140,19 +148,23 @@ def explore(
     """
     given = simulation_model or model
     middle, name = weights_of(weights)
-    checked, designs, simulates = ExploreOptions.of(options), model_of(model, design=True), model_of(given)
+    checked, read = ExploreOptions.of(options), (model_of(model, design=True), model_of(given))
+    roles = DesignOptions(commands=checked.commands, disturbance=checked.disturbance)
+    designs = roles.for_control(read[0])
     if rig is not None:
         known = rig_of(rig)
         checked = of_rig(checked, known.sample_rate, known.capacity)
     period, limit = sample_period_of(designs, checked.sample_period), force_limit_of(designs, checked.force_limit)
     if checked.measured:
         middle = middle.model_copy(update={"measured": list(checked.measured)})
-    middle = scaled_weights(designs, middle, period, limit, excitation_of(designs))
-    tried, covariance = weight_sets(middle, checked.spans, checked.sets, checked.seed), covariance_of(given)
+    excitation = excitation_of(designs, checked.excitation_rms, sample_period=period)
+    middle = scaled_weights(designs, middle, period, limit, excitation)
+    spans, covariance = checked.spans(middle, designs.outputs), covariance_of(given)
+    tried = weight_sets(middle, spans, checked.sets, checked.seed)
     study = Study.of(
         designs,
-        ensemble(simulates, covariance, checked.models, checked.seed, str(given)),
-        ground_motions(several(records), checked, period),
+        [roles.for_control(each) for each in ensemble(read[1], covariance, checked.models, checked.seed, str(given))],
+        _motions(designs, several(records), checked, period),
         intensities=checked.peak_acceleration,
         capacity=np.array(limit),
         sample_period=period,
@@ -168,7 +180,18 @@ def explore(
         progress=lambda done: progress(done, len(tried)) if progress else None,
     )
     made_from = {"model": str(model), "simulation_model": str(given), "weights": name}
-    facts = {**made_from, "spans": checked.spans, "seed": checked.seed}
+    facts = {**made_from, "spans": spans, "seed": checked.seed}
     distrust = [*dict.fromkeys([*distrust_of(model), *distrust_of(given)])]
-    save_exploration(folder, study, outcomes, simulates, facts, covariance, distrust)
+    named = checked.model_dump(include={"commands", "disturbance"})
+    save_exploration(folder, study, outcomes, read, facts, covariance, distrust, named)
     return Explored(tuple(outcomes), checked.quantile)
+
+
+def _motions(
+    model: LinearModel, records: Sequence[Record | Path | str], options: StudyOptions, sample_period: float
+) -> list[GroundMotion]:
+    """The motions that drive a `model`; records, which are accelerations, only where its first input may be one."""
+    name, unit = model.inputs[0], model.unit(model.inputs[0])
+    if records and unit not in ("-", signals.unit(signals.GROUND)):
+        raise AbraceError(f"records of an acceleration for {name} [{unit}], expected noise")
+    return ground_motions(records, options, sample_period)

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from abrace.interactive.given import controller_of, model_of, several
+from abrace.interactive.given import controller_of, model_of, several, takes
 from abrace_core.model.one_thread import one_thread
 from abrace_core.model.signals import most_telling
 from abrace_core.model.tabular import Tabular
 from abrace_sysid import validation
 from abrace_sysid.figures.validation import time_histories
-from abrace_sysid.recorded.test import given_tests
+from abrace_sysid.validation import ValidateOptions, read_test
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
+    from abrace.interactive.data import AnyData
     from abrace.interactive.given import AnyController, AnyModel
     from abrace_sysid.recorded.test import AnyTest
     from abrace_sysid.validation import Comparison
@@ -77,26 +78,33 @@ class Validated(Tabular):
         return time_histories(self.comparison, several(channels) or most_telling(self.comparison.names)).figure()
 
 
+@takes(ValidateOptions)
 @one_thread()
-def validate(test: AnyTest, model: AnyModel, *, controller: AnyController | None = None) -> Validated:
+def validate(
+    test: AnyTest | AnyData, model: AnyModel, *, controller: AnyController | None = None, **options: Any
+) -> Validated:
     """Compare a recorded test with its simulation by a model.
 
     Parameters
     ----------
     test
-        A test (`abrace.Test`, Run or bag) of a rig.
+        A test (`abrace.Test`, Run or bag); for a model of measured data also a file with columns, a DataFrame, or
+        arrays by name.
     model
         A model, its file, an identification (or its folder), a rig, a StateSpace of python-control.
     controller
         Of the test, which then closes the loop around the model; None: the recorded command drives it.
+    **options
+        As `ValidateOptions` has them.
 
     Raises
     ------
     AbraceError
-        If test, model and controller are not of the same rig, or the test has a gap. Channels that the model does not
-        have are not compared, and named.
+        If test, model and controller are not of the same structure, or the test has a gap. Channels that the model
+        does not have are not compared, and named.
     """
-    tests, linear = given_tests(test), model_of(model)
+    linear = model_of(model)
+    tests = read_test(test, linear, ValidateOptions.of(options))
     law: tuple[Any, Any, Any] = (None, None, None)
     if controller is not None:
         given = controller_of(controller, linear.provenance.get("force_limit", ()))

@@ -8,7 +8,6 @@ unit that is not known; no computation needs it in SI units.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,11 +16,8 @@ from abrace_core.files.units import UNITS, si_unit, unit_as_stated, unit_of
 from abrace_core.model import signals
 from abrace_core.model.linear_model import LinearModel, name_and_unit_of, takes_models
 
-if TYPE_CHECKING:
-    from collections.abc import Collection
 
-
-def si_factor(name: str, unit: str, where: str, expected: str = "") -> tuple[float, str]:
+def si_factor(name: str, unit: str, where: str) -> tuple[float, str]:
     """The factor from the `unit` of a signal to SI units, and the SI unit.
 
     >>> si_factor("a1", "gal", "model"), si_factor("strain", "V", "model")
@@ -35,8 +31,6 @@ def si_factor(name: str, unit: str, where: str, expected: str = "") -> tuple[flo
         As stated; empty or "-": none.
     where
         How an error begins.
-    expected
-        SI unit of the signal; empty: that of a signal of a rig, by its name.
 
     Raises
     ------
@@ -44,7 +38,7 @@ def si_factor(name: str, unit: str, where: str, expected: str = "") -> tuple[flo
         If the unit is not known, or of another kind of quantity than the signal is.
     """
     own = signals.unit(name)
-    wanted = own if own != "-" else expected
+    wanted = own if own != "-" else ""
     if unit in ("", "-"):
         return 1.0, wanted
     found = unit_as_stated(unit)
@@ -58,7 +52,7 @@ def si_factor(name: str, unit: str, where: str, expected: str = "") -> tuple[flo
 
 
 @takes_models
-def in_si_units(model: LinearModel, forces: Collection[str] = ()) -> LinearModel:
+def in_si_units(model: LinearModel) -> LinearModel:
     """The same `model` with its signals in SI units, their names without units; itself where it is in SI units.
 
     Its `units` are then those of signals that are no rig's.
@@ -67,8 +61,6 @@ def in_si_units(model: LinearModel, forces: Collection[str] = ()) -> LinearModel
     ----------
     model
         With `units`, or with units in names, as `a1 [g]`.
-    forces
-        Inputs that are forces whatever their names, as the commands of a controller; a rig's are known by their names.
 
     Raises
     ------
@@ -78,10 +70,9 @@ def in_si_units(model: LinearModel, forces: Collection[str] = ()) -> LinearModel
     names, factors, kept = {}, {}, {}
     for kind, known in (("input", model.inputs), ("output", model.outputs)):
         for written in known:
-            expected = "N" if kind == "input" and written in forces else ""
             name, unit = name_and_unit_of(written)
             unit = model.units.get(written, unit)
-            factor, si = si_factor(name, unit, f"model {kind}", expected)
+            factor, si = si_factor(name, unit, f"model {kind}")
             names[written], factors[written] = name, factor
             if signals.unit(name) == "-" and unit and unit != "-":
                 kept[name] = si

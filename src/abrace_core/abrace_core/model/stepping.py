@@ -61,7 +61,7 @@ def connect(
     AbraceError
         If they do not fit each other, or as in `si_units.in_si_units`.
     """
-    model = in_si_units(model, () if capacity is None else model.inputs[1:])
+    model = in_si_units(model)
     controller = in_si_units(controller)
     if model.inputs[1:] != controller.outputs or abs(model.sample_period - controller.sample_period) > 1e-12:
         raise AbraceError(

@@ -31,7 +31,7 @@ CONSTANTS = """\
  *
  * Measured values, in this order:
 {measured}
- * Forces of one brace of each group, in this order:
+ * Commands, in this order; of a rig the force of one brace of each group:
 {commands}
  */
 #ifndef ABRACE_CONSTANTS_H
@@ -50,8 +50,8 @@ extern const double abrace_b[ABRACE_STATES][ABRACE_MEASURED];
 extern const double abrace_c[ABRACE_COMMANDS][ABRACE_STATES];
 extern const double abrace_d[ABRACE_COMMANDS][ABRACE_MEASURED];
 extern const double abrace_g[ABRACE_STATES][ABRACE_COMMANDS];
-extern const double abrace_force_limit[ABRACE_COMMANDS]; /* N */
-extern const double abrace_rate_limit[ABRACE_COMMANDS];  /* N/s */
+extern const double abrace_force_limit[ABRACE_COMMANDS]; /* in the unit of each command */
+extern const double abrace_rate_limit[ABRACE_COMMANDS];  /* in this unit per second */
 
 #endif
 """

@@ -251,7 +251,7 @@ def prove(
         If a model lacks a signal of the controller, or the loop with the first model is not stable.
     """
     design_model = next(iter(models.values()))
-    excitation = excitation or excitation_of(design_model)
+    excitation = excitation or excitation_of(design_model, sample_period=designed.controller.sample_period)
     proofs, done, count = [], 0, len(models) + sum(map(len, (ensembles or {}).values()))
 
     def advance() -> None:

@@ -39,7 +39,7 @@ OBJECTIONS: tuple[Objection, ...] = get_args(Objection)
 DRAWS = 30
 """Models drawn from the covariance of each model that has one: the worst is worse than 9 of 10 such models."""
 
-ForceLimit = tuple[Annotated[float, Field(ge=1)], ...]
+ForceLimit = tuple[Annotated[float, Field(ge=1e-9)], ...]
 
 
 class Limits(Options):
@@ -71,7 +71,8 @@ class DesignOptions(Limits):
     )
     force_limit: ForceLimit = Field(
         default=(),
-        description="N, greatest force of one brace, of every group or of each; none: that of the rig of the tests",
+        description="N, greatest force of one brace, of every group or of each (of a command of another unit in its SI "
+        "unit); none: that of the rig of the tests",
     )
     accept: tuple[Objection, ...] = Field(
         default=(), description="objections, by name, in spite of which the controller is made"
@@ -81,7 +82,7 @@ class DesignOptions(Limits):
     )
     draw_seed: Count = Field(default=0, description="seed of these models")
     commands: Names = Field(
-        default=(), description="names of the inputs that are the controller's forces; none: all but the disturbance"
+        default=(), description="names of the inputs that the controller commands; none: all but the disturbance"
     )
     disturbance: str = Field(
         default="",
@@ -96,7 +97,7 @@ class DesignOptions(Limits):
     excitation_band: Band = Field(
         default=NOT_GIVEN,
         description="Hz, lowest and highest frequency of this excitation; 0, 0: 0.3 to 10 Hz, or wider around the "
-        "slowest mode",
+        "slowest mode, up to half the sample rate",
     )
 
     @property
@@ -133,12 +134,13 @@ class DesignOptions(Limits):
         if any(model.input_delay[:1]):
             # a delay of the disturbance shifts its time alone
             model = replace(model, input_delay=(0.0, *model.input_delay[1:]))
-        return in_si_units(model, model.inputs[1:])
+        return in_si_units(model)
 
     @takes_models
     def excitation(self, model: LinearModel) -> Excitation:
         """The disturbance of a `model` for which responses are predicted."""
-        return excitation_of(model, self.excitation_rms, self.excitation_band)
+        period = self.sample_period or float(model.provenance.get("sample_period") or 0.0)
+        return excitation_of(model, self.excitation_rms, self.excitation_band, period)
 
 
 class Wording(NamedTuple):
@@ -221,15 +223,18 @@ def force_limit_of(model: LinearModel, given: Sequence[float] = ()) -> list[floa
     if found and len(found) != len(model.inputs) - 1:
         raise AbraceError(f"force_limit: {found} N, expected one for each command of the model ({commands})")
     if not found:
+        units = ", ".join(f"{name} [{model.unit(name)}]" for name in model.inputs[1:])
         raise AbraceError(
-            f"force_limit: not given, and the model's file does not have it, expected N for {commands}, or a rig in "
-            "Python"
+            f"force_limit: not given, and the model's file does not have it, expected the greatest of {units}, or a "
+            "rig in Python"
         )
     return [float(limit) for limit in found]
 
 
 @takes_models
-def excitation_of(model: LinearModel, rms: float = 0.25, band: tuple[float, float] = NOT_GIVEN) -> Excitation:
+def excitation_of(
+    model: LinearModel, rms: float = 0.25, band: tuple[float, float] = NOT_GIVEN, sample_period: float = 0.0
+) -> Excitation:
     """The disturbance for which a design predicts responses, of a rig the ground acceleration.
 
     Parameters
@@ -240,6 +245,8 @@ def excitation_of(model: LinearModel, rms: float = 0.25, band: tuple[float, floa
         [SI unit of this input].
     band
         [Hz]; NOT_GIVEN: 0.3 to 10 Hz, and wider where the slowest mode is nearer to an end than `AROUND_SLOWEST`.
+    sample_period
+        Of the controller [s]: a band that is not given ends at half its sample rate; 0: not known.
 
     Raises
     ------
@@ -254,6 +261,8 @@ def excitation_of(model: LinearModel, rms: float = 0.25, band: tuple[float, floa
     for frequency, _ in pole_table(model.poles)[:1]:
         slowest = frequency / (2 * np.pi)
         low, high = min(low, AROUND_SLOWEST[0] * slowest), max(high, AROUND_SLOWEST[1] * slowest)
+    if sample_period:
+        high = min(high, 0.5 / sample_period)
     return Excitation(rms, (float(low), float(high)), disturbance, unit)
 
 

@@ -107,7 +107,7 @@ def loop_extremes(
     AbraceError
         If model, controller, capacity and records do not fit each other.
     """
-    model = in_si_units(model, () if capacity is None else model.inputs[1:])
+    model = in_si_units(model)
     count, commands = len(model.outputs), len(model.inputs) - 1
     names = (*model.outputs, *model.inputs[1:])
     chosen = np.arange(len(motions.samples)) if chosen is None else np.asarray(chosen, dtype=np.int64)

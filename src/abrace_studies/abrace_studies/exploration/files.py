@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from abrace_core import AbraceError
@@ -37,10 +38,11 @@ def save_exploration(
     folder: Path | str,
     study: Study,
     outcomes: Sequence[Outcome],
-    simulation_model: LinearModel,
+    models: tuple[LinearModel, LinearModel],
     made_from: Mapping[str, Any],
     covariance: NDArray[np.float64] | None = None,
     distrust: Sequence[str] = (),
+    roles: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
     """Write `exploration.json`, `exploration.csv`, `model.json` and `simulation_model.json`.
 
@@ -52,8 +54,8 @@ def save_exploration(
         Models, records and limits of the sets.
     outcomes
         Outcomes of all sets.
-    simulation_model
-        Continuous, as it was read, before others were drawn from it.
+    models
+        To design with and to simulate with, continuous, as they were read.
     made_from
         Where the sets come from, any JSON values: files, spans, seed.
     covariance
@@ -61,10 +63,12 @@ def save_exploration(
     distrust
         A sentence for each model that cannot be trusted, with the reason, as from `distrusted`: an objection to
         every set.
+    roles
+        `commands` and `disturbance` of `DesignOptions`, as they were given.
     """
     folder = Path(folder)
-    save_model(study.model, folder / "model.json")
-    save_model(simulation_model, folder / "simulation_model.json", covariance)
+    save_model(models[0], folder / "model.json")
+    save_model(models[1], folder / "simulation_model.json", covariance)
     loops = study.loops
     records = [
         {"name": name, "samples": int(samples)}
@@ -74,6 +78,7 @@ def save_exploration(
         "format": FILE_FORMAT,
         "made_from": dict(made_from),
         "distrust": list(distrust),
+        **roles,
         "sample_period": loops.sample_period,
         "force_limit": study.capacity.tolist(),
         "records": records,
@@ -105,7 +110,10 @@ def load_set(folder: Path | str, number: int) -> tuple[Weights, dict[str, Any]]:
             raise AbraceError(f"{path}: no set {number}, expected 0 to {len(sets) - 1}")
         if sets[number]["refused"]:
             raise AbraceError(f"{path}: set {number} gives no controller: {sets[number]['refused']}")
-        options = DesignOptions.of({name: content[name] for name in ("sample_period", "force_limit")})
+        options = DesignOptions.of(
+            {name: content[name] for name in ("sample_period", "force_limit")}
+            | {name: content[name] for name in ("commands", "disturbance") if name in content}
+        )
         given = {"options": options, "distrust": content["distrust"]}
         return Weights.model_validate(sets[number]["weights"]), given
     except OSError as error:
@@ -163,6 +171,7 @@ def set_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     ranks = {outcome.number: {"rank": rank} for rank, outcome in enumerate(ranked(outcomes), 1)}
     for outcome in outcomes:
         row = {"set": outcome.number, **outcome.weights.weights.model_dump()}
+        row |= {f"signals.{name}": weight for name, weight in outcome.weights.signals.items()}
         row |= {"noise_to_excitation": outcome.weights.noise_to_excitation, "refused": outcome.refused}
         if outcome.margins is not None and outcome.command is not None:
             found = outcome.margins

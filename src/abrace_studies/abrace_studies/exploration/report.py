@@ -21,9 +21,8 @@ if TYPE_CHECKING:
 LISTED_SETS = 12
 """Sets of the Pareto front that are listed, spread evenly over it."""
 
-HEADING = (
-    "  set  command rms, peak (N)  saturated  displacement  robust  acceleration  robust  gain dB  phase deg  delay ms"
-)
+HEADING = ("  set", "command rms, peak", "saturated"), ("gain dB", "phase deg", "delay ms")
+"""Titles of the columns before and behind those of the responses."""
 LISTED_ROBUST = 5
 """Most robust sets that are listed."""
 
@@ -77,13 +76,14 @@ def report(outcomes: Sequence[Outcome], quantile: float) -> list[str]:
     lines = []
     if found:
         force = np.array([outcome.command.rms if outcome.command else np.nan for outcome in found])
-        response = np.array([outcome.response("acceleration") for outcome in found])
+        kinds = found[0].ranked_kinds
+        response = np.array([outcome.response(kinds[-1]) for outcome in found])
         front = pareto_front(force, response)
         chosen = front[np.unique(np.linspace(0, len(front) - 1, LISTED_SETS).round().astype(int))]
         lines += [
             "response: rms over that with zero command; margins with the simulation model",
             f"robust: {quantile:g} of {found[0].loops} loops respond no more",
-            HEADING,
+            "  ".join([*HEADING[0], *(f"{kind:>12}  robust" for kind in kinds), *HEADING[1]]),
             *(_row(found[index], "") for index in chosen),
         ]
         if not outcomes[0].refused:
@@ -107,9 +107,11 @@ def _row(outcome: Outcome, note: str) -> str:
     command, margins = outcome.command, outcome.margins
     assert command is not None
     assert margins is not None
+    responses = "".join(
+        f"  {outcome.response(kind):{max(12, len(kind))}.3f}  {outcome.robust[kind]:6.3f}"
+        for kind in outcome.ranked_kinds
+    )
     return (
-        f"{outcome.number:5d}  {command.rms:11.0f}  {command.peak:8.0f}  {outcome.saturated:9d}"
-        f"  {outcome.response('displacement'):12.3f}  {outcome.robust['displacement']:6.3f}"
-        f"  {outcome.response('acceleration'):12.3f}  {outcome.robust['acceleration']:6.3f}"
+        f"{outcome.number:5d}  {command.rms:8.4g}  {command.peak:7.4g}  {outcome.saturated:9d}{responses}"
         f"  {margins.gain_db:7.1f}  {margins.phase_deg:9.1f}  {1e3 * margins.delay:8.1f}{note}"
     )

@@ -23,7 +23,7 @@ from abrace_core.model.response import PeakRms
 from abrace_lqg.analysis.margins import Margins, margins
 from abrace_lqg.design import design
 from abrace_lqg.loop import sampled
-from abrace_lqg.weights import Weights, signal_kind
+from abrace_lqg.weights import Weights, is_of_kind, signal_kind
 from abrace_studies.batches.loop_extremes import Motions, loop_extremes
 from abrace_studies.fragility.loops import compute_batch
 from abrace_studies.fragility.study import INTACT, FragilityStudy
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 MARGINS = ("gain_db", "phase_deg", "delay", "sensitivity_peak")
 """Fields of `Margins`, columns of the results."""
 RANKED = ("displacement", "acceleration")
-"""Kinds of responses by which sets are ranked."""
+"""Kinds of responses by which sets are ranked, with those that have a weight by name."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class Outcome:
         simulation model and intact sensors; without responses that are zero with zero command (an ideal actuator's
         force).
     robust
-        By kind of response (`signal_kind`) the quantile over all loops of its rms over that with zero command.
+        By kind of response (`response_kind`) the quantile over all loops of its rms over that with zero command.
     command
         Peak and rms of all commands in all loops [N].
     saturated
@@ -188,13 +188,26 @@ class Outcome:
     loops: int = 0
 
     def response(self, kind: str) -> float:
-        """Rms over that with zero command, mean over records and responses of a `kind` (as in `signal_kind`)."""
-        return float(np.mean([row.rms for name, row in self.relative.items() if signal_kind(name) == kind]))
+        """Rms over that with zero command, mean over records and responses of a `kind` (as in `response_kind`)."""
+        return float(np.mean([row.rms for name, row in self.relative.items() if response_kind(name) == kind]))
+
+    @property
+    def ranked_kinds(self) -> tuple[str, ...]:
+        """The kinds of responses by which sets are ranked; with weights by name only those that have a weight."""
+        by_name = self.weights.signals
+        own = [kind for kind in RANKED if not by_name or getattr(self.weights.weights, kind)]
+        kinds = [*own, *(response_kind(name) for name, weight in by_name.items() if weight)]
+        return tuple(kind for kind in dict.fromkeys(kinds) if kind in self.robust)
 
     @property
     def robust_response(self) -> float:
-        """By which sets are ranked: mean of the robust displacement and acceleration."""
-        return float(np.mean([self.robust[kind] for kind in RANKED if kind in self.robust]))
+        """By which sets are ranked: mean of the robust responses of the ranked kinds."""
+        return float(np.mean([self.robust[kind] for kind in self.ranked_kinds]))
+
+
+def response_kind(name: str) -> str:
+    """The kind of a response: that of its weight (`signal_kind`), of one that is no rig's its own `name`."""
+    return signal_kind(name) if is_of_kind(name) else name
 
 
 def try_set(study: Study, number: int, weights: Weights) -> pyarrow.Table:
@@ -247,7 +260,7 @@ def judged(study: Study, weights: Weights, rows: pyarrow.Table) -> Outcome:
     own = intact & (models == 0)
     kinds: dict[str, list[NDArray[np.float64]]] = {}
     for name, (_, rms) in ratio.items():
-        kinds.setdefault(signal_kind(name), []).append(rms)
+        kinds.setdefault(response_kind(name), []).append(rms)
     force = np.stack([_column(rows, "rms", name) for name in commands])
     return Outcome(
         number,

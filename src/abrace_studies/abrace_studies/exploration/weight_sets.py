@@ -28,8 +28,8 @@ def weight_sets(given: Weights, spans: Mapping[str, tuple[float, float]], count:
     given
         Set number 0.
     spans
-        By name of a weight (of `KindWeights`, or noise_to_excitation): lowest and highest power of ten that it is
-        multiplied by. Weights that are not named keep their given value.
+        By name of a weight (of `KindWeights`, noise_to_excitation, or `signals.NAME`): lowest and highest power of
+        ten that it is multiplied by. Weights that are not named keep their given value.
     count
         Number of further sets.
     seed
@@ -42,7 +42,8 @@ def weight_sets(given: Weights, spans: Mapping[str, tuple[float, float]], count:
         zero has a span, or there are no sets.
     """
     file = given.model_dump()
-    start = {**file["weights"], "noise_to_excitation": file["noise_to_excitation"]}
+    by_name = {f"signals.{name}": weight for name, weight in given.signals.items()}
+    start = {**file["weights"], "noise_to_excitation": file["noise_to_excitation"], **by_name}
     names = [name for name, span in spans.items() if tuple(span) != (0.0, 0.0)]
     if unknown := [name for name in spans if name not in start]:
         raise AbraceError(f"span of {unknown[0]}: no such weight, {expected_of(unknown[0], start)}")
@@ -65,5 +66,7 @@ def weight_sets(given: Weights, spans: Mapping[str, tuple[float, float]], count:
     for factors in 10.0 ** (low + (high - low) * drawn):
         values = start | {name: start[name] * float(factor) for name, factor in zip(names, factors, strict=True)}
         noise = values.pop("noise_to_excitation")
-        sets.append(Weights.model_validate(file | {"weights": values, "noise_to_excitation": noise}))
+        own = {name: values.pop(f"signals.{name}") for name in given.signals}
+        changed = {"weights": values, "signals": own, "noise_to_excitation": noise}
+        sets.append(Weights.model_validate(file | changed))
     return sets

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,13 +13,14 @@ import numpy as np
 from abrace_core import AbraceError
 from abrace_core.figures.saving import save_figure
 from abrace_core.files.writing import write_json, write_rows
+from abrace_core.model import signals
 from abrace_core.model.tabular import Tabular
 from abrace_studies.batches.compute import compute_missing
 from abrace_studies.batches.parts import read_parts
 from abrace_studies.fragility.curves import fragility_curve
 from abrace_studies.fragility.figures import Subject, fragility_figure
 from abrace_studies.fragility.loops import compute_batch
-from abrace_studies.fragility.study import INTACT, unit
+from abrace_studies.fragility.study import INTACT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -51,12 +52,18 @@ class Fragility(Tabular):
         [m/s^2].
     subjects
         A controller with a fault each: its curve for each limit, and what it took.
+    disturbance
+        Name of the input whose peak is the intensity.
+    units
+        SI units of the disturbance and the limits that are no rig's, by name; of drifts m.
     """
 
     folder: Path
     limits: dict[str, float]
     intensities: tuple[float, ...]
     subjects: tuple[Subject, ...]
+    disturbance: str = signals.GROUND
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         loops = sum(int(next(iter(subject.curves.values())).loops.sum()) for subject in self.subjects)
@@ -74,22 +81,28 @@ class Fragility(Tabular):
 
     def plot(self) -> Figure:
         """The curves of the intact controllers with their bands, and the fractions."""
-        return fragility_figure(self.subjects, self.limits)
+        limits = {f"{name} above {limit:g} {self.unit(name)}": name for name, limit in self.limits.items()}
+        peak = "peak ground acceleration" if self.disturbance == signals.GROUND else f"peak of {self.disturbance}"
+        return fragility_figure(self.subjects, limits, peak, self.unit(self.disturbance))
+
+    def unit(self, name: str) -> str:
+        """SI unit of a limit's quantity or the disturbance `name`; "-": it is not known."""
+        return self.units.get(name) or signals.unit(name)
 
     def text(self) -> str:
         """The curves in words, one a line."""
-        lines = []
+        lines, of_peak = [], self.unit(self.disturbance)
         for row in _rows(self):
             name = row["controller"] + (f", {row['fault']}" if row["fault"] != INTACT else "")
-            limit = f"{row['quantity']} above {row['limit']:g} {unit(row['quantity'])}"
+            limit = f"{row['quantity']} above {row['limit']:g} {self.unit(row['quantity'])}"
             if np.isfinite(row["median"]):
                 end = "or more" if np.isinf(row["high"]) else f"to {row['high']:.3g}"
                 interval = f"{row['low']:.3g} {end}" if np.isfinite(row["low"]) else "one ground motion: no interval"
-                found = f"median {row['median']:.3g} m/s^2 ({interval}), dispersion {row['dispersion']:.2f}"
+                found = f"median {row['median']:.3g} {of_peak} ({interval}), dispersion {row['dispersion']:.2f}"
             elif 0 < row["exceeded"] < row["loops"]:
                 low, high = row["low"], row["high"]
                 found = f"between {low:g} and {high:g}" if np.isfinite(high) else f"above {low:g}"
-                found = f"median {found} m/s^2, dispersion not known: intensities closer together would tell"
+                found = f"median {found} {of_peak}, dispersion not known: intensities closer together would tell"
             else:
                 found = f"{row['exceeded'] / row['loops']:.0%} of {row['loops']} loops, no curve"
             lines.append(f"{name}: {limit}: {found}")
@@ -182,7 +195,9 @@ def assess(study: FragilityStudy, limits: Mapping[str, float], folder: Path) -> 
                 _mean_by_level(columns["saturated"][own] > 0, levels[own], shape[1]),
             )
         )
-    return Fragility(folder, dict(limits), study.intensities, tuple(subjects))
+    plant = study.plant(0)
+    units = {name: plant.unit(name) for name in (*limits, plant.inputs[0])}
+    return Fragility(folder, dict(limits), study.intensities, tuple(subjects), plant.inputs[0], units)
 
 
 def save(found: Fragility) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from abrace_core.figures.drawing import ERROR, MEASURED, REFERENCE, SIMULATED, captioned
-from abrace_studies.fragility.study import INTACT, ZERO_COMMAND, unit
+from abrace_studies.fragility.study import INTACT, ZERO_COMMAND
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -49,11 +49,20 @@ class Subject:
     saturated: NDArray[np.float64]
 
 
-def fragility_figure(subjects: Sequence[Subject], limits: Mapping[str, float]) -> Figure:
-    """The probability that each of the `limits` is exceeded, of the intact `subjects`: fits, bands, and fractions."""
+def fragility_figure(subjects: Sequence[Subject], limits: Mapping[str, str], peak: str, unit: str) -> Figure:
+    """The probability that each of the `limits` is exceeded, of the intact `subjects`: fits, bands, and fractions.
+
+    Parameters
+    ----------
+    limits
+        Names of the quantities, by title.
+    peak, unit
+        What the intensities are, and their unit.
+    """
+    unit = unit.replace("^2", "²")
     figure, axes = _axes(len(limits))
     colours = _colours(subjects)
-    for axis, (name, limit) in zip(axes, limits.items(), strict=True):
+    for axis, (title, name) in zip(axes, limits.items(), strict=True):
         for subject in _intact(subjects):
             curve, colour = subject.curves[name], colours[subject.controller]
             axis.plot(curve.intensity, curve.fractions, "o", color=colour, markersize=4)
@@ -62,10 +71,10 @@ def fragility_figure(subjects: Sequence[Subject], limits: Mapping[str, float]) -
                 axis.plot([], [], "o", color=colour, label=f"{label}: no curve")
                 continue
             x = np.geomspace(curve.intensity[0] / 2, curve.intensity[-1] * 1.5, POINTS)
-            axis.plot(x, curve.probability(x), color=colour, label=f"{label}: {curve.median:.3g} m/s²")
+            axis.plot(x, curve.probability(x), color=colour, label=f"{label}: {curve.median:.3g} {unit}")
             if len(curve.resampled):
                 axis.fill_between(x, *curve.band(x), color=colour, alpha=0.18, linewidth=0)
-        axis.set(title=_limit(name, limit), xlabel="peak ground acceleration (m/s²)", ylim=(-0.02, 1.02))
+        axis.set(title=title.replace("^2", "²"), xlabel=f"{peak} ({unit})", ylim=(-0.02, 1.02))
         axis.grid(alpha=0.3)
         _legend(axis)
     axes[0].set_ylabel("probability of exceeding the limit")
@@ -94,7 +103,3 @@ def _colours(subjects: Sequence[Subject]) -> dict[str, str]:
 
 def _intact(subjects: Sequence[Subject]) -> list[Subject]:
     return [subject for subject in subjects if subject.fault == INTACT]
-
-
-def _limit(name: str, limit: float) -> str:
-    return f"{name} above {limit:g} {unit(name)}".replace("^2", "²")

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from abrace_core import AbraceError
-from abrace_core.model import signals
 from abrace_core.model.linear_model import takes_models
 from abrace_core.model.model_ensemble import draw_models
 from abrace_lqg.loop import sampled
@@ -165,13 +164,15 @@ class FragilityStudy:
 def with_drifts(model: LinearModel) -> LinearModel:
     """The `model` with the drift of each storey, d1, d2, ..., behind its outputs: x1, x2 - x1, ... [m].
 
+    Names that the model's own outputs have are left to these.
+
     >>> from abrace_core.model.linear_model import LinearModel
     >>> frame = LinearModel([[-1.0]], [[1.0]], [[1.0], [3.0]], [[0.0], [0.0]], ("w",), ("x1", "x2"))
     >>> with_drifts(frame).outputs, with_drifts(frame).c.ravel().tolist()
     (('x1', 'x2', 'd1', 'd2'), [1.0, 3.0, 1.0, 2.0])
     """
     floors: list[int] = []
-    while f"x{len(floors) + 1}" in model.outputs:
+    while f"x{len(floors) + 1}" in model.outputs and f"d{len(floors) + 1}" not in model.outputs:
         floors.append(model.outputs.index(f"x{len(floors) + 1}"))
     rows = np.array(floors, dtype=np.intp)
     between = np.eye(len(floors)) - np.eye(len(floors), k=-1)
@@ -181,6 +182,7 @@ def with_drifts(model: LinearModel) -> LinearModel:
         c=np.vstack([model.c, between @ model.c[rows]]),
         d=np.vstack([model.d, between @ model.d[rows]]),
         outputs=(*model.outputs, *names),
+        units={**model.units, **dict.fromkeys(names, "m")},
     )
 
 
@@ -232,8 +234,3 @@ def faults_of(given: Mapping[str, float | Sequence[float]]) -> tuple[Fault, ...]
         if fault in faults[:number]:
             raise AbraceError(f"fault {fault.name}: given twice, expected each once")
     return faults
-
-
-def unit(name: str) -> str:
-    """SI unit of a signal or of a drift, from its `name`."""
-    return "m" if name[0] == "d" else signals.unit(name)

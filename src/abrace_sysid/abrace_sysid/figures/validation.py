@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from abrace_core import AbraceError
 from abrace_core.figures.chart import Chart, Curve, Panel, below_each_other
 from abrace_core.figures.drawing import ERROR, MEASURED, REFERENCE, SIMULATED, last_motion
+from abrace_core.model import signals
 from abrace_core.model.response import UnitSystem, shown_unit
 
 if TYPE_CHECKING:
@@ -64,7 +65,8 @@ def _column(
     shown = (comparison.time >= span[0]) & (comparison.time <= span[1])
     time, panels = comparison.time[shown], []
     for name in channels:
-        factor, unit = shown_unit(name, units)
+        own = signals.unit(name) == "-"
+        factor, unit = (1.0, comparison.units.get(name, "-")) if own else shown_unit(name, units)
         j = comparison.names.index(name)
         measured, simulated = factor * comparison.measured[shown, j], factor * comparison.simulated[shown, j]
         histories = (

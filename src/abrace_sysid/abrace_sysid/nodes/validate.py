@@ -2,6 +2,7 @@
 """The node `validate`: compares a recorded test with its simulation, with the same test without control, or both.
 
 abrace run abrace_sysid validate --ros-args -p test:=bags/first -p model:=model/model.json -p output:=check
+abrace run abrace_sysid validate --ros-args -p test:=second.csv -p model:=structure/model.json -p output:=check
 """
 
 from __future__ import annotations
@@ -22,17 +23,19 @@ from abrace_core.model.linear_model import LinearModel, load_model
 from abrace_core.model.response import PeakRms, clipped_sentences, in_paper_units, paper_unit, peak_rms, unit_system
 from abrace_core.model.run import Run
 from abrace_node.node import AbraceNode
-from abrace_node.parameters import Parameter
+from abrace_node.parameters import Parameter, parameters_of
 from abrace_node.process import run
 from abrace_sysid.figures import validation as figures
-from abrace_sysid.validation import Comparison, compare, predicted
+from abrace_sysid.recorded.test import is_table
+from abrace_sysid.validation import Comparison, ValidateOptions, compare, predicted, read_test
 
 PARAMETERS = [
-    Parameter("test", "", "bag of the test to compare", required=True),
+    Parameter("test", "", "bag of the test to compare; for a model of data also a file with columns", required=True),
     Parameter("model", "", "model file (JSON) to simulate with; empty: only against the test without control"),
     Parameter("other_models", [], "further model files to simulate with, compared in the same way", element=str),
     Parameter("controller", "", "controller file of the test; empty: the recorded command drives the model"),
     Parameter("uncontrolled", "", "bag of the same test without control; empty: none"),
+    *parameters_of(ValidateOptions),
     Parameter("output", "", "folder for comparison.json and figures", required=True),
 ]
 
@@ -50,46 +53,53 @@ class ValidateNode(AbraceNode):
         """Read, simulate, compare, write, draw."""
         given = self.parameters
         models = {Path(path).stem: load_model(path) for path in (given.model, *given.other_models) if given.model}
-        print("reading the bags", flush=True)
-        test = self.read(given.test)
+        print("reading the tests", flush=True)
+        test = None if is_table(given.test) else self.read(given.test)
         uncontrolled = self.read(given.uncontrolled) if given.uncontrolled else None
-        if not given.model and not uncontrolled:
+        if not given.model and not (test and uncontrolled):
             raise AbraceError("parameter model: empty, expected a model file (JSON), or a bag for uncontrolled")
-        output, top, units = Path(given.output), test.floors, unit_system(test.facts.get("rig", ""))
+        if uncontrolled and not test:
+            raise AbraceError(f"parameter uncontrolled: {given.uncontrolled}, expected none where test is no bag")
+        facts = test.facts if test else {"record": given.test, "controller": Path(given.controller).stem}
+        output, units = Path(given.output), unit_system(facts.get("rig", ""))
         content: dict[str, Any] = {
             "test": {
-                "record": test.facts.get("record", ""),
-                "peak_acceleration": float(test.facts.get("peak_acceleration", 0.0)),
-                "controller": test.facts.get("controller", ""),
-                "rig": test.facts.get("rig", ""),
+                "record": facts.get("record", ""),
+                "peak_acceleration": float(facts.get("peak_acceleration", 0.0)),
+                "controller": facts.get("controller", ""),
+                "rig": facts.get("rig", ""),
             },
-            "measured": _table(peak_rms(test)),
+            "measured": _table(peak_rms(test)) if test else None,
             "simulated": None,
             "uncontrolled": _table(peak_rms(uncontrolled)) if uncontrolled else None,
-            "clipped": {"measured": test.clipped_samples}
+            "clipped": ({"measured": test.clipped_samples} if test else {})
             | ({"uncontrolled": uncontrolled.clipped_samples} if uncontrolled else {}),
         }
         judged = None
         if given.model:
             print("simulating", flush=True)
-            first, *others = comparisons = self.simulate(test, models)
-            judged = predicted(comparisons[first])
-            content |= _simulated(comparisons[first]) | {
-                "simulated": _table(comparisons[first].simulated_peak_rms()),
+            first, *others = comparisons = self.simulate(test or given.test, models)
+            shown = comparisons[first]
+            judged = predicted(shown)
+            content |= _simulated(shown) | {
+                "simulated": _table(shown.simulated_peak_rms()),
                 "validity": judged.content,
                 "other_models": {name: _simulated(comparisons[name]) for name in others},
             }
+            if not test:
+                content |= {"measured": _table(shown.measured_peak_rms()), "units": dict(shown.units)}
         write_json(output / "comparison.json", content)
         if given.model:
-            shown = comparisons[first]
-            strongest = shown.time[np.argmax(np.abs(test.ground_acceleration))]
-            begin = max(shown.time[0], strongest - BEFORE)
+            telling = signals.most_telling(shown.names)
+            motion = test.ground_acceleration if test else shown.measured[:, shown.names.index(telling[0])]
+            begin = max(shown.time[0], shown.time[np.argmax(np.abs(motion))] - BEFORE)
             zoom = (begin, min(begin + ZOOM, shown.time[-1]))
-            drawing = figures.time_histories(shown, signals.most_telling(shown.names), zoom, units, _tested(test))
+            drawing = figures.time_histories(shown, telling, zoom, units, _tested(facts))
             save_figure(drawing, output / "figure_6_time_histories.svg")
             _print(comparisons)
-        if uncontrolled:
-            drawing = figures.control_effect(uncontrolled, test, [f"x{top}", f"a{top}"], units, _tested(test))
+        if test and uncontrolled:
+            channels = [f"x{test.floors}", f"a{test.floors}"]
+            drawing = figures.control_effect(uncontrolled, test, channels, units, _tested(facts))
             save_figure(drawing, output / "uncontrolled_and_controlled.svg")
         print(f"wrote {output}")
         if judged:
@@ -104,20 +114,21 @@ class ValidateNode(AbraceNode):
             self.get_logger().warning(f"{recorded.source}: {sentence}")
         return recorded
 
-    def simulate(self, test: Run, models: dict[str, LinearModel]) -> dict[str, Comparison]:
-        """Simulate the test by each model, in closed loop if a controller is given."""
+    def simulate(self, test: Run | str, models: dict[str, LinearModel]) -> dict[str, Comparison]:
+        """Simulate the test, a bag's or a file's, by each model, in closed loop if a controller is given."""
         law: tuple[Any, Any, Any] = (None, None, None)
         if self.parameters.controller:
             controller = load_controller(self.parameters.controller)
             law = controller.law, controller.force_limit, controller.correction
-        return {name: compare(test, model, *law) for name, model in models.items()}
+        options = ValidateOptions.of_values(self.parameters)
+        return {name: compare(read_test(test, model, options), model, *law) for name, model in models.items()}
 
 
-def _tested(run: Run) -> str:
-    """Record and controller of a test, as text."""
-    peak = float(run.facts.get("peak_acceleration", 0.0)) * paper_unit(signals.GROUND)[0]
-    record = f"{run.facts.get('record', '') or 'no motion'}{f' at {peak:.3g} g' if peak else ''}"
-    return f"{record}, {run.facts.get('controller', '') or 'zero command'}"
+def _tested(facts: dict[str, Any]) -> str:
+    """Record and controller of a test with these `facts`, as text."""
+    peak = float(facts.get("peak_acceleration", 0.0)) * paper_unit(signals.GROUND)[0]
+    record = f"{facts.get('record', '') or 'no motion'}{f' at {peak:.3g} g' if peak else ''}"
+    return f"{record}, {facts.get('controller', '') or 'zero command'}"
 
 
 def _simulated(comparison: Comparison) -> dict[str, Any]:
@@ -129,13 +140,16 @@ def _print(comparisons: dict[str, Comparison]) -> None:
     for label, one in comparisons.items():
         error_of_all = one.peak_rms_error()
         print(f"{label}: error of peaks and rms {'unknown' if error_of_all is None else f'{error_of_all:.4f}'}")
-        print("channel  correlation  rms error / rms  without sensor noise")
+        width = max(8, *map(len, one.names))
+        print(f"{'channel':{width}} correlation  rms error / rms  without sensor noise")
         for name, row in one.agreement().items():
-            print(f"{name:8} {row.correlation:11.4f}  {row.normalised_rms_error:15.4f}  {row.noise_free_error:20.4f}")
+            errors = f"{row.normalised_rms_error:15.4f}  {row.noise_free_error:20.4f}"
+            print(f"{name:{width}} {row.correlation:11.4f}  {errors}")
 
 
 def _table(rows: dict[str, PeakRms]) -> dict[str, dict[str, float]]:
-    return {name: row._asdict() for name, row in in_paper_units(rows).items()}
+    """Peaks and rms in cm, g and kgf; of quantities that are no rig's in their SI unit."""
+    return {name: (rows if signals.unit(name) == "-" else in_paper_units(rows))[name]._asdict() for name in rows}
 
 
 def main() -> int:

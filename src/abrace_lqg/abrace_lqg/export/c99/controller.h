@@ -16,7 +16,7 @@
 #include "constants.h"
 
 typedef struct {
-    double force[ABRACE_COMMANDS];      /* N of one brace of each group: the last command, limited and faded */
+    double force[ABRACE_COMMANDS];      /* the last command, limited and faded, in its unit (constants.h) */
     int stopped;                        /* not 0: a value was not finite; the force goes to zero, and stays there */
     double state[ABRACE_STATES];        /* q of Eq. (13) */
     double initial[ABRACE_COMMANDS];    /* N, from which the force fades in, or is ramped to zero */
