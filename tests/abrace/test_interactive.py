@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 import abrace
 from abrace_core.model.linear_model import load_covariance
 from abrace_core.model.simulation import simulate as simulate_model
+from abrace_plant.devices.simulated import SimulatedRig
 
 ROOT = Path(__file__).parents[2]
 RIG = "ncree_three_storey"
@@ -524,3 +525,19 @@ def test_a_table_is_an_ambient_test(tmp_path):
     of_arrays = abrace.identify_ambient({"top": y[:, 0]}, sample_rate=50.0, band=(0.5, 8.0))
     for found in (of_file, of_arrays):
         assert min(abs(mode.frequency / 10.0 - 1) for mode in found.found.modes) < 0.01
+
+
+@pytest.mark.parametrize("controller", [Push(), "lqg3"])
+def test_a_reading_that_is_not_finite_is_an_error_that_names_it(monkeypatch, controller):
+    exchange, count = SimulatedRig.exchange, iter(range(10**6))
+
+    def broken(self, *arguments):
+        reading = exchange(self, *arguments)
+        if next(count) == 400:
+            reading.values[5] = np.nan  # x1, x2, x3, xf, a1, a2
+        return reading
+
+    monkeypatch.setattr(SimulatedRig, "exchange", broken)
+    given = designed() if controller == "lqg3" else controller
+    with pytest.raises(abrace.AbraceError, match=r"^acceleration\[1\] of sample \d+ is nan, expected a finite number$"):
+        abrace.simulate(RIG, **SHORT, controller=given)

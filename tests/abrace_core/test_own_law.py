@@ -109,3 +109,25 @@ def test_a_parameter_that_ros_cannot_have_is_named(default):
 def test_what_goes_wrong_in_a_law_is_said_with_its_name(answer, message):
     with pytest.raises(AbraceError, match=message):
         guarded(Law(answer=answer)).force(0, Z, 0)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "message"),
+    [
+        (0, np.nan, r"displacement\[0\] of sample 1000 is nan, expected a finite number"),
+        (3, np.inf, r"stroke\[0\] of sample 1000 is inf, expected"),
+        (5, -np.inf, r"acceleration\[1\] of sample 1000 is -inf, expected"),
+        (7, np.nan, r"force\[0\] of sample 1000 is nan, expected"),
+    ],
+)
+def test_a_sample_that_is_not_finite_reaches_no_law(place, value, message):
+    law = Law()
+    one = guarded(law)
+    one.force(999, Z, 0)
+    with pytest.raises(AbraceError, match=message):
+        one.force(1000, [value if i == place else z for i, z in enumerate(Z)], 0)
+    assert law.sample.number == 999
+
+
+def test_values_whose_sum_overflows_are_finite():
+    assert guarded(Law()).force(0, [1e308] * 8, 0) == [7.0]

@@ -186,3 +186,10 @@ def test_an_answer_keeps_the_interpreter():
     run(active, STEPS)
     active.prepare_change(replace(one, name="two"))()
     assert yields(lambda: run(active, 1), 2000) == 0
+
+
+def test_a_measured_value_that_is_not_finite_is_named_and_one_that_no_law_measures_is_not():
+    active = reset_controller(controller())
+    active.require_finite(7, (np.nan, np.nan, 1.0, np.inf))
+    with pytest.raises(AbraceError, match=r"^acceleration\[0\] of sample 8 is nan, expected a finite number$"):
+        active.require_finite(8, (0.0, 0.0, np.nan, 0.0))

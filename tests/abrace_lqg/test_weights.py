@@ -94,6 +94,15 @@ def test_drift_and_base_shear_are_sums_of_what_is_recorded():
     np.testing.assert_array_equal(weights.diagonal(names)[6:], [4.0, 4.0, 9.0])
 
 
+@pytest.mark.parametrize("changes", [{}, {"kinds": {"displacement": 5.0}}, {"signals": {"a1": 0.0}}])
+def test_weights_of_which_none_is_of_an_output_of_the_model_are_refused(changes: dict):
+    with pytest.raises(
+        AbraceError, match=r"all weights but that of the command are zero, expected one above 0 of a1, f$"
+    ):
+        made(**changes).weighed(("a1", "f"))
+    made(kinds={"force": 1e-30}).weighed(("a1", "f"))
+
+
 def test_noise_is_set_sensor_by_sensor_and_a_star_stands_for_all_floors():
     weights = made(noise={"a2": 3.0}).of(("x1", "x2", "a1", "a2"), ("U",))
     assert weights.measured == ["a1", "a2"]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 from itertools import count
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
@@ -12,11 +13,14 @@ import domain_coordinator
 import numpy as np
 import pytest
 import rclpy
+from rclpy.qos import qos_profile_sensor_data
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from abrace_core import AbraceError
 from abrace_core.safety.rig_safety import State
 from abrace_core.safety.wire import LAST, LOCKSTEP, Head, Responses
+from abrace_interfaces.msg import Response
 from abrace_node.commander import PLAYING, READY, BraceCommander
 from abrace_node.law_node import LawNode
 
@@ -88,6 +92,28 @@ def test_a_force_fades_in_once_after_a_fault_has_been_cleared(domain):
     half_cosine = [1000 * (1 - math.cos(math.pi * j / 250)) / 2 for j in range(1, 250)] + [1000.0] * 51
     assert first == pytest.approx(half_cosine)
     assert again == pytest.approx(half_cosine)
+
+
+def test_an_acceleration_that_is_not_finite_is_a_fault_that_names_it(domain):
+    """Of a law of one's own; the force comes to rest and is zero from then on."""
+    rclpy.init(args=[], domain_id=domain)
+    node = PushNode()
+    node.trigger_configure()
+    node.trigger_activate()
+    responses, forces = Responses(), []
+    for number in range(1400):
+        head = Head(number, 1, 0, LOCKSTEP, State.RUNNING)
+        acceleration = math.nan if number == 1000 else 1.0
+        node.on_response(
+            responses.pack(2_000_000 * number, head, "", [1], [0.0], [acceleration], [0.0], [0.0], [0.0], 0.0, 0.0)
+        )
+        forces += node.guard.value
+    fault = node.fault
+    node.destroy_node()
+    assert fault == "acceleration[0] of sample 1000 is nan, expected a finite number"
+    assert forces[999] == pytest.approx(1000.0)
+    assert np.isfinite(forces).all()
+    assert forces[1399] == 0.0
 
 
 class Signal(BraceCommander):
@@ -172,3 +198,31 @@ def test_the_end_of_a_run_ends_a_goal_and_the_next_run_does_not_begin_it(signal)
     assert ask_to_play(signal) == "playing"
     sample(signal, 2, 1, flags=0)
     assert signal.answers[-1] == 100.0
+
+
+@pytest.mark.parametrize(
+    ("message_type", "qos", "said"),
+    [
+        (Response, qos_profile_sensor_data, "QoS (best effort publisher and reliable subscription)"),
+        (String, 10, "type std_msgs/msg/String, expected abrace_interfaces/msg/Response"),
+        (Response, 10, ""),
+    ],
+)
+def test_the_state_names_a_publisher_of_the_rig_that_does_not_fit(domain, signal, monkeypatch, message_type, qos, said):
+    """Otherwise the node waits for a rig that is there."""
+    reports = []
+    monkeypatch.setattr(signal, "_diagnostics", SimpleNamespace(publish=reports.append))
+    context = rclpy.Context()  # one participant has one type for a topic
+    context.init(domain_id=domain)
+    rig = rclpy.create_node("own_rig", context=context)
+    publisher = rig.create_publisher(message_type, "response", qos)
+    waiting = "no sample of a rig has come yet"
+    expected = f"{waiting}; publisher /own_rig of /response does not fit: {said}" if said else waiting
+    end, found = time.monotonic() + 20.0, ""
+    while found != expected or not (said or publisher.get_subscription_count()):
+        assert time.monotonic() < end, found
+        time.sleep(0.01)  # the name of its node comes a moment after the publisher
+        signal.publish_diagnostics()
+        found = reports[-1].status[0].message
+    rig.destroy_node()
+    context.try_shutdown()

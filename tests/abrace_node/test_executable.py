@@ -50,3 +50,22 @@ def test_another_distribution_is_a_warning(tmp_path, monkeypatch, distribution, 
     monkeypatch.setenv("ROS_DISTRO", distribution)
     found = ended(tmp_path, "def main():\n    return 3\n")
     assert (found.returncode, found.stderr) == (3, said)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({}, "node: HOME is not set, as for a service: set HOME or ROS_LOG_DIR, the folder of ROS's logs\n"),
+        ({"HOME": ""}, "node: HOME is not set, as for a service: set HOME or ROS_LOG_DIR, the folder of ROS's logs\n"),
+        ({"HOME": "/tmp"}, ""),
+        ({"ROS_HOME": "/tmp"}, ""),
+        ({"ROS_LOG_DIR": "/tmp"}, ""),
+    ],
+)
+def test_a_service_without_a_folder_for_logs_is_told_which_variable_to_set(tmp_path, monkeypatch, given, said):
+    for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
+    found = ended(tmp_path, "def main():\n    return 3\n")
+    assert (found.returncode, found.stderr) == ((2, said) if said else (3, ""))

@@ -91,9 +91,109 @@ def test_truncated_matlab_file_is_told(tmp_path):
             read_record(path, "g", 0.01)
 
 
+STEPS = np.arange(400)
+WAVE = np.sin(0.1 * STEPS)
+STEP = 0.005
+TIMES = STEP * STEPS
+
+
+def struct_array(name: str, data: str, *pairs: tuple[str, np.ndarray]) -> np.ndarray:
+    found = np.zeros((1, len(pairs)), dtype=[(name, object), (data, object)])
+    for i, pair in enumerate(pairs):
+        found[0, i] = pair
+    return found
+
+
+SIGNALS = struct_array("label", "values", ("w", WAVE[:, None]), ("a1", 2 * WAVE[:, None]))
+SERIES = struct_array("Name", "Data", ("model/table/w", WAVE[None, :]), ('"model"/"roof"/"a1"', 2 * WAVE[None, :]))
+AXIS = struct_array("Name", "Data", ("HostService", TIMES[None, :]))
+WITH_TIMES = [
+    ({"t": TIMES[:, None], "Acc": WAVE[:, None]}, "Acc", 1),
+    ({"time": TIMES[None, :], "acc": WAVE[None, :]}, None, 1),
+    ({"time_ms": 1e3 * TIMES, "acc": WAVE}, None, 1),
+    ({"dt": STEP, "Tf": 2.0, "acc": WAVE}, None, 1),
+    ({"Ts": STEP, "acc": WAVE}, None, 1),
+    ({"dt_ms": 5.0, "acc": WAVE}, None, 1),
+    ({"fs": 200.0, "acc": WAVE}, None, 1),
+    ({"Sampling_Rate": 200, "acc": WAVE}, None, 1),
+    ({"SamplingFrequency_kHz": 0.2, "acc": WAVE}, None, 1),
+    ({"q": {"t": TIMES, "acc": WAVE}}, None, 1),
+    ({"q": {"dt": STEP, "acc": WAVE}, "r": {"dt": 0.1, "acc": 2 * WAVE}}, "q.acc", 1),
+    ({"q": {"t": TIMES, "acc": WAVE}, "r": {"t": 3 * TIMES, "acc": 2 * WAVE}}, "q.acc", 1),
+    (
+        {"quake": {"time": TIMES[:, None], "signals": {"values": WAVE[:, None], "label": "a", "dimensions": 1.0}}},
+        None,
+        1,
+    ),
+    ({"quake": {"time": TIMES[:, None], "signals": {"values": WAVE[:, None]}}}, "quake", 1),
+    ({"log": {"time": TIMES[:, None], "signals": SIGNALS}}, "a1", 2),
+    ({"log": {"time": TIMES, "signals": {"values": np.column_stack([WAVE, 2 * WAVE])}}}, "log_2", 2),
+    ({"run_7": {"X": AXIS, "Y": SERIES}}, "w", 1),
+    ({"run_7": {"X": AXIS, "Y": SERIES}}, "model/roof/a1", 2),
+    ({"data": np.column_stack([TIMES, WAVE, 2 * WAVE])}, "data_3", 2),
+    ({"data": np.vstack([TIMES, WAVE, 2 * WAVE])}, "data_2", 1),
+    ({"data": np.column_stack([TIMES, WAVE, 2 * WAVE]), "dt": STEP, "other": WAVE[:99]}, "data_3", 2),
+    ({"data": np.column_stack([TIMES, WAVE])}, None, 1),
+]
+
+
+@pytest.mark.parametrize(("variables", "channel", "times"), WITH_TIMES)
+def test_the_times_of_a_matlab_file_are_found_and_a_period_that_contradicts_them_is_refused(
+    tmp_path, variables, channel, times
+):
+    path = saved(tmp_path, **variables)
+    record = read_record(path, "m/s^2", None, channel)
+    assert record.sample_period == pytest.approx(STEP, rel=1e-9)
+    np.testing.assert_allclose(record.acceleration, times * WAVE, rtol=1e-12)
+    assert read_record(path, "m/s^2", STEP, channel).sample_period == pytest.approx(STEP, rel=1e-9)
+    with pytest.raises(AbraceError, match=r"sample period 0\.005 s( by its times)?, 0\.02 s was given"):
+        read_record(path, "m/s^2", 0.02, channel)
+
+
+@pytest.mark.parametrize("turn", [np.asarray, np.transpose])
+def test_times_in_the_first_column_of_a_numpy_array_are_found(tmp_path, turn):
+    np.save(tmp_path / "quake.npy", turn(np.column_stack([TIMES, WAVE, 2 * WAVE])))
+    record = read_record(tmp_path / "quake.npy", "m/s^2", channel="3")
+    assert record.sample_period == pytest.approx(STEP, rel=1e-9)
+    np.testing.assert_array_equal(record.acceleration, 2 * WAVE)
+    with pytest.raises(AbraceError, match=r"sample period 0\.005 s by its times, 0\.02 s was given"):
+        read_record(tmp_path / "quake.npy", "m/s^2", 0.02, "3")
+    with pytest.raises(AbraceError, match=r"expected channel as one of 2 \(400\), 3 \(400\)"):
+        read_record(tmp_path / "quake.npy", "m/s^2")
+
+
+@pytest.mark.parametrize(
+    ("variables", "channel", "message"),
+    [
+        (
+            {"t": TIMES[:-1], "acc": WAVE},
+            None,
+            "t has 399 times and acc 400 values, expected as many, or sample_period",
+        ),
+        (
+            {"x_time": TIMES, "y_time": 2 * TIMES, "acc": WAVE},
+            None,
+            "2 columns of times, x_time, y_time; expected sample",
+        ),
+        ({"period": 0.8, "frequency": 2.0, "acc": WAVE}, None, "no times in the file"),
+        ({"dt": 5.0, "acc": WAVE}, None, "no times in the file"),
+        (
+            {"rec": np.ones((100, 3, 4))},
+            "rec_1",
+            "rec is 100 x 3 x 4, expected each record of it as a matrix of its own",
+        ),
+        ({"rec": np.ones((100, 3, 4))}, None, "rec is 100 x 3 x 4, expected each record of it as a matrix of its own"),
+        ({"acc": 1j * WAVE}, None, "acc is complex, expected real numbers"),
+    ],
+)
+def test_what_is_no_record_in_a_matlab_file_is_named(tmp_path, variables, channel, message):
+    with pytest.raises(AbraceError, match=message):
+        read_record(saved(tmp_path, **variables), "m/s^2", None, channel)
+
+
 # Bags -----------------------------------------------------------------------------------------------------------------
 
-START, STEP = 1_700_000_000_000_000_000, 2_000_000
+START, TICK = 1_700_000_000_000_000_000, 2_000_000
 
 
 def write_bag(folder, numbers=range(7, 107), values=None):
@@ -102,7 +202,7 @@ def write_bag(folder, numbers=range(7, 107), values=None):
     with BagWriter(folder, {"sample_period": "0.002"}) as bag:
         topic = bag.add_topic("/rig/response", RESPONSE, DEFINITIONS[RESPONSE], HASHES[RESPONSE])
         for k, number in enumerate(numbers):
-            stamp = START + STEP * number + int(jitter[k])
+            stamp = START + TICK * number + int(jitter[k])
             z = np.full(10, float(number)) if values is None else values[k]
             message = response_message(number, z, stamp // 10**9, stamp % 10**9)
             bag.write(topic, serialised(message), stamp, stamp)
@@ -123,11 +223,35 @@ def test_acceleration_of_the_table_in_a_bag_is_the_record_also_with_jitter(tmp_p
 def test_channel_of_a_bag_is_another_acceleration(tmp_path):
     bag = write_bag(tmp_path / "bag")
     run = read_run(bag)
-    np.testing.assert_array_equal(read_record(bag, channel="a3").acceleration, run.channels(["a3"])[:, 0])
-    for channel in ("x1", "b", "response:ground_acceleration"):
-        expected = f"no acceleration '{channel}' in it, expected channel as one of w, a1, a2, a3$"
-        with pytest.raises(AbraceError, match=f"^ground motion {re.escape(str(bag))}: {expected}"):
-            read_record(bag, channel=channel)
+    for channel in ("a3", "acceleration[2]", "rig/response:a3", "/rig/response:acceleration[2]", "response: a3"):
+        np.testing.assert_array_equal(read_record(bag, channel=channel).acceleration, run.channels(["a3"])[:, 0])
+    assert read_record(bag, channel="rig/response:ground_acceleration").chosen == "w in m/s^2"
+
+
+@pytest.mark.parametrize(
+    ("channel", "message"),
+    [
+        ("x1", "x1 is in m, expected an acceleration: channel as one of w, a1, a2, a3"),
+        ("displacement[0]", "displacement[0] is in m, expected an acceleration"),
+        ("rig/response:displacement[2]", "displacement[2] is in m, expected an acceleration"),
+        ("xf", "xf is in m, expected an acceleration"),
+        ("stroke[0]", "stroke[0] is in m, expected an acceleration"),
+        ("f", "f is in N, expected an acceleration"),
+        ("force[0]", "force[0] is in N, expected an acceleration"),
+        ("U", "U is in N, expected an acceleration"),
+        ("command[0]", "command[0] is in N, expected an acceleration"),
+        ("table_displacement", "table_displacement is in m, expected an acceleration"),
+        ("b", "no acceleration 'b' in it, expected an acceleration: channel as one of w, a1, a2, a3"),
+        ("a4", "no acceleration 'a4' in it, expected an acceleration: channel as one of w, a1, a2, a3"),
+        ("other:w", "no topic other of type abrace_interfaces/msg/Response in it"),
+    ],
+)
+def test_a_channel_of_a_bag_that_is_no_acceleration_is_refused_by_its_unit(tmp_path, channel, message):
+    bag = write_bag(tmp_path / "bag")
+    with pytest.raises(AbraceError) as refused:
+        read_record(bag, channel=channel)
+    assert str(refused.value).startswith(f"ground motion {bag}: ")
+    assert message in str(refused.value)
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,9 @@ import pytest
 from udp_target import CONFIG, RIG
 
 from abrace_core import AbraceError
-from abrace_plant.devices.device import Device, DeviceError, Wanted
-from abrace_plant.devices.file import load_device
+from abrace_plant.devices.card import Card
+from abrace_plant.devices.device import Device, DeviceError, Reading, TargetStatus, Wanted, exchange
+from abrace_plant.devices.file import DeviceFile, load_device
 from abrace_plant.devices.udp import UdpDevice
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -213,3 +214,70 @@ def test_a_card_says_where_it_was_not_made_safe(card: Device):
         DeviceError, match=r"ni_daqmx device .*: not made safe, the outputs keep their values: the card"
     ):
         card.open()
+
+
+NAMES = ("x1", "xf", "a1", "f", "w")
+RIGHT = Reading(np.zeros(5), 10**18, 0, 0, TargetStatus(0, 0, "", [0.0, 0.0]))
+
+
+class Driver:
+    """A device of one's own that gives what it is told to."""
+
+    def __init__(self, reading: object) -> None:
+        self.reading = reading
+
+    def exchange(self, *_):
+        return self.reading
+
+
+@pytest.mark.parametrize(
+    ("reading", "message"),
+    [
+        (RIGHT._replace(values=np.zeros(4)), "4 values, expected 5: x1, xf, a1, f, w"),
+        (RIGHT._replace(values=np.zeros(6)), "6 values, expected 5: x1, xf, a1, f, w"),
+        (RIGHT._replace(values=np.zeros((1, 5))), "values of shape (1, 5), expected 5: x1, xf, a1, f, w"),
+        (RIGHT._replace(values=[0.0] * 5), "values [0.0, 0.0, 0.0, 0.0, 0.0], expected a NumPy array of numbers"),
+        (RIGHT._replace(values=np.array(["0"] * 5)), "expected a NumPy array of numbers"),
+        (None, "exchange gave None, expected a Reading"),
+        (tuple(RIGHT), "expected a Reading"),
+        (np.zeros(5), "exchange gave array([0., 0., 0., 0., 0.]), expected a Reading"),
+        (RIGHT._replace(stamp=1.7e9), "stamp 1700000000.0, expected a whole number, at least 0"),
+        (RIGHT._replace(missed=-1), "missed -1, expected a whole number, at least 0"),
+        (RIGHT._replace(clipped=None), "clipped None, expected a whole number, at least 0"),
+        (RIGHT._replace(target=None), "target None, expected a TargetStatus"),
+    ],
+)
+def test_what_is_no_reading_of_the_rigs_channels_is_one_clear_line(reading, message):
+    with pytest.raises(AbraceError) as refused:
+        exchange(Driver(reading), NAMES, [0.0], 0.0, Wanted.SAFE, 0)
+    assert not isinstance(refused.value, DeviceError), "its program is wrong: it is not asked again"
+    assert str(refused.value).startswith("driver: ")
+    assert message in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_reading_of_the_rigs_channels_is_passed_on():
+    for reading in (RIGHT, RIGHT._replace(values=np.zeros(5, np.float32), clipped=np.int64(3))):
+        assert exchange(Driver(reading), NAMES, [0.0], 0.0, Wanted.SAFE, 0) is reading
+
+
+def test_a_card_that_reads_another_number_of_channels_is_named(tmp_path):
+    class Short(Card):
+        def connect(self):
+            return None
+
+        def write(self, outputs):
+            pass
+
+        def read(self):
+            return [0.0] * 4, 0
+
+        def disconnect(self):
+            pass
+
+    path = tmp_path / "device.yaml"
+    path.write_text("kind: short\n")
+    card = Short(path, DeviceFile(kind="short"), RIG)
+    card.open()
+    with pytest.raises(AbraceError, match=r"^short device .*: read gave 4 values, expected 10: x1, x2, x3, xf, a1, "):
+        card.exchange([0.0], 0.0, Wanted.SAFE, 0)

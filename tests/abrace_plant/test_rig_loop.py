@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rig sample by sample: timing of inputs, faults, determinism."""
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from abrace_core.safety.wire import LAST, LATE, LOCKSTEP, SATURATED
 from abrace_plant.devices.device import Reading, TargetStatus, Wanted
 from abrace_plant.devices.simulated import SimulatedRig
 from abrace_plant.live.loop import COMMAND, GROUND, LONGEST_WITHOUT_STOPS, RigLoop, rig_outputs
+from abrace_plant.live.real_time import RealTimeRun
 from abrace_plant.rig.file import load_rig
 
 TIMEOUT = 0.02
@@ -394,3 +396,19 @@ def test_the_interlocks_keep_the_interpreter(rig, bench):
     bench.step()
     values = np.zeros(len(rig.channel_names))
     assert yields(lambda: bench.loop.interlocks.check(values, (0.0,), 0.0, 0.0, 0), 5000) == 0
+
+
+def test_a_device_that_gives_another_number_of_values_is_named_and_ends_the_run(bench, monkeypatch):
+    """In lockstep by its error; by the clock the device is made safe and closed, and the error is the run's."""
+    given, closed = bench.device.exchange, []
+    monkeypatch.setattr(bench.device, "exchange", lambda *_: given(*_)._replace(values=np.zeros(3)), raising=False)
+    monkeypatch.setattr(bench.device, "close", lambda: closed.append(True), raising=False)
+    message = "simulatedrig: 3 values, expected 10: x1, x2, x3, xf, a1, a2, a3, fa, fb, w"
+    with pytest.raises(AbraceError, match=message):
+        bench.step()
+    run = RealTimeRun(
+        bench.loop, bench.device, 0.002, threading.RLock(), bench.samples.append, lambda: None, lambda: None
+    )
+    run.run()
+    assert [str(error) for error in run.errors] == [message]
+    assert (closed, bench.samples) == ([True], [])

@@ -95,3 +95,78 @@ NORTH_AND_EAST = "time [s],acc_ns [g],acc_ew [cm/s^2],Drift (m)\n0,1,2,3\n0.1,4,
 def test_csv_with_several_accelerations_wants_the_name_of_one(tmp_path, channel, message):
     with pytest.raises(AbraceError, match=message):
         read_record(written(tmp_path, "two.csv", NORTH_AND_EAST), channel=channel)
+
+
+WAVE = [0.1, -0.2, 0.3, 0.25, -0.05, 0.0, 0.01, 0.02]
+
+
+def headed(header: str) -> str:
+    return f"{header}\n" + "".join(f"{value}\n" for value in WAVE)
+
+
+@pytest.mark.parametrize(
+    ("header", "unit", "factor"),
+    [
+        ("# accelerations in g, dt = 0.005", "g", G),
+        ("# Acceleration [g], sampling rate 200 Hz", "g", G),
+        ("% acceleration (cm/s2); time step 0.005 s", "cm/s^2", 0.01),
+        ("acc in m/s^2, dt=0.005 s", "m/s^2", 1.0),
+        ("# acceleration, g; dt: 5 ms", "g", G),
+        ("# values are in gal\n# sampled at 200 Hz", "cm/s^2", 0.01),
+        ("# ground acceleration in m/s/s; sample interval = 0.005 s", "m/s^2", 1.0),
+        ("# Acceleration time history in units of g\n# NPTS= 8, DT= 0.005 SEC", "g", G),
+        ("# delta = 0.005, unit = mg", "mg", 1e-3 * G),
+    ],
+)
+def test_unit_and_step_in_a_sentence_above_the_values_are_read_and_others_refused(tmp_path, header, unit, factor):
+    path = written(tmp_path, "quake.txt", headed(header))
+    for record in (read_record(path), read_record(path, unit, 0.005)):
+        assert record.sample_period == pytest.approx(0.005, rel=1e-9)
+        np.testing.assert_allclose(record.acceleration, factor * np.array(WAVE), rtol=1e-12)
+    with pytest.raises(AbraceError, match=r"the file states .*, unit in/s\^2 was given"):
+        read_record(path, unit="in/s^2")
+    with pytest.raises(AbraceError, match=r"sample period 0\.005 s, 0\.02 s was given"):
+        read_record(path, sample_period=0.02)
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["# peak acceleration in g: 0.3", "# maximum acceleration (g) 0.3", "# filtered, accelerations in ground floor"],
+)
+def test_the_unit_of_another_number_in_the_header_is_not_that_of_the_values_and_the_line_is_shown(tmp_path, header):
+    path = written(tmp_path, "quake.txt", headed(header))
+    with pytest.raises(AbraceError) as refused:
+        read_record(path)
+    assert "no unit in the file" in str(refused.value)
+    assert f"(it begins with {header[:60]!r})" in str(refused.value)
+
+
+@pytest.mark.parametrize("header", ["time interval 12 - 40 s", "time interval 12-40 s", "dt 1 to 5 ms"])
+def test_a_range_in_the_header_is_no_time_step(tmp_path, header):
+    path = written(tmp_path, "quake.txt", headed(f"# of the motion\n# {header}\n# station 5"))
+    assert read_record(path, "g", 0.01).sample_period == 0.01
+
+
+@pytest.mark.parametrize("name", ["quake.acc", "quake.txt", "quake", "quake.csv"])
+def test_peers_format_is_known_by_its_content_whatever_the_name(tmp_path, name):
+    path = written(tmp_path, name, at2())
+    assert read_record(path).acceleration.tolist() == pytest.approx([G * each for each in VALUES])
+    with pytest.raises(AbraceError, match=r"states g, unit m/s\^2 was given"):
+        read_record(path, unit="m/s^2")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (
+            "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n\nChannels\t1\nX_Value\tacc\n\t0.1\n",
+            r"a measurement file of LabVIEW \(\.lvm\), expected its columns as CSV \(Python's lvm_read reads it\)",
+        ),
+        (b"TDSm\x0e\0\0\0" + bytes(60), r"TDMS of LabVIEW, expected its channels exported as CSV \(Python's npTDMS"),
+        (b"TDSh\x0e\0\0\0" + bytes(60), "TDMS of LabVIEW"),
+    ],
+)
+@pytest.mark.parametrize("name", ["quake.lvm", "quake.tdms", "quake.txt"])
+def test_files_of_labview_are_named_with_what_to_do(tmp_path, name, content, message):
+    with pytest.raises(AbraceError, match=message):
+        read_record(written(tmp_path, name, content), unit="g", sample_period=0.01)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core import AbraceError
+from abrace_core.model import signals
 from abrace_lqg.control_law import ControlLaw
 
 if TYPE_CHECKING:
@@ -113,6 +114,17 @@ class ActiveController:
             self.controller, self._settling_left, self._fade_step = controller, round(SETTLING_TIME / self._period), 0
 
         return change
+
+    def require_finite(self, number: int, values: Sequence[float]) -> None:
+        """Refuse sample `number` if one of its `values` that a law measures is not finite: before `force`.
+
+        Raises
+        ------
+        AbraceError
+            Naming the first of them.
+        """
+        used = [name for law in (self._law, self._incoming) if law is not None for name in law.names]
+        signals.require_finite(number, values, self._names, used)
 
     def force(self, values: Sequence[float], lost: int) -> NDArray[np.float64]:
         """The force wanted in answer to a sample.

@@ -22,6 +22,8 @@ from abrace_core.files.suggestion import did_you_mean
 GREATEST_DOMAIN = 232
 NO_ROS = "no ROS 2 here (AMENT_PREFIX_PATH is not set), expected `source ros2_ws/setup.bash` after `make setup`"
 JAZZY = "jazzy"
+LOG_FOLDERS = ("ROS_LOG_DIR", "ROS_HOME", "HOME")
+"""Variables of which ROS takes the first that is set for the folder of its logs."""
 RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 
 
@@ -81,6 +83,8 @@ def check_environment() -> None:
     # others number the messages of a stop button differently, or not at all: `StopListener` would not hear it
     _expect("RMW_IMPLEMENTATION", made.__contains__, f"Fast DDS: {', '.join(sorted(made))}")
     _expect("ROS_AUTOMATIC_DISCOVERY_RANGE", RANGES.__contains__, " or ".join(RANGES))
+    if not any(os.environ.get(name) for name in LOG_FOLDERS):
+        raise AbraceError("HOME is not set, as for a service: set HOME or ROS_LOG_DIR, the folder of ROS's logs")
     for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
         _expect(name, lambda text: Path(text).is_file(), "a file")
 

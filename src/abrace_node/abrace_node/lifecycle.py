@@ -231,6 +231,7 @@ class AbraceLifecycleNode(LifecycleNodeMixin, AbraceNode):
                 self.destroy_service(service)
 
         self._endpoint_counts.clear()
+        self._streams.clear()
         self._publishers_of_streams.clear()
         if self._threads is None:
             destroy()

@@ -84,6 +84,30 @@ def served_subscriptions(node: Node, topic: str) -> list[TopicEndpointInfo]:
     ]
 
 
+def misfits(node: Node, stream: Publisher | Subscription) -> list[str]:
+    """Why others on the topic of this `stream` of a `node` are not connected with it: type or QoS; none: all fit."""
+    topic, publishes = stream.topic_name, isinstance(stream, Publisher)
+    if publishes:
+        known, matched, who = node.count_subscribers(topic), stream.get_subscription_count(), "subscriber"
+    else:
+        known, matched, who = node.count_publishers(topic), stream.get_publisher_count(), "publisher"
+    if known <= matched:
+        return []  # so it costs next to nothing where all fit
+    found = []
+    infos = node.get_subscriptions_info_by_topic if publishes else node.get_publishers_info_by_topic
+    for other in infos(topic):
+        ends = (stream.qos_profile, other.qos_profile) if publishes else (other.qos_profile, stream.qos_profile)
+        fits, reason = qos_check_compatible(*ends)
+        wanted = "/".join((stream.msg_type.__module__.split(".")[0], "msg", stream.msg_type.__name__))
+        name = "".join(endpoint_names([other])) or "of unknown name"
+        if other.topic_type != wanted:
+            found.append(f"{who} {name} of {topic} does not fit: type {other.topic_type}, expected {wanted}")
+        elif fits == QoSCompatibility.ERROR:
+            why = reason.removeprefix("ERROR: ").rstrip("; ").lower()
+            found.append(f"{who} {name} of {topic} does not fit: QoS ({why})")
+    return found
+
+
 def rcl_message(error: Exception) -> str:
     """The message of an rcl error in one line, without its prefixes, positions in its source and its lexer's words."""
     text = re.sub(
@@ -174,6 +198,7 @@ class AbraceNode(Node):
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self.add_post_set_parameters_callback(self._on_parameters_set)
         self._endpoint_counts: list[tuple[str, Callable[[], int]]] = []
+        self._streams: list[Publisher | Subscription] = []
         self._partners: list[int] = []
         self._diagnostics_due = False
         self._publishers_of_streams: list[Publisher] = []
@@ -243,6 +268,7 @@ class AbraceNode(Node):
         publisher = self.create_publisher(message_type, topic, qos)
         self._endpoint_counts.append((f"subscribers of {topic}", publisher.get_subscription_count))
         self._publishers_of_streams.append(publisher)
+        self._streams.append(publisher)
         return publisher
 
     def subscribe_to(
@@ -251,6 +277,7 @@ class AbraceNode(Node):
         """Create a subscription; the diagnostics show its number of publishers."""
         subscription = self.create_subscription(message_type, topic, callback, qos, raw=raw)
         self._endpoint_counts.append((f"publishers of {topic}", subscription.get_publisher_count))
+        self._streams.append(subscription)
         return subscription
 
     def finds_commander(self, samples: Publisher, answers: Subscription) -> bool:
@@ -292,6 +319,7 @@ class AbraceNode(Node):
         fault, message, values = self.diagnose()
         if fault != self.reported_fault:
             self._log_fault(fault)
+        message = "; ".join([message, *(text for stream in self._streams for text in misfits(self, stream))])
         values.update((name, count()) for name, count in self._endpoint_counts)
         if self.life_cycle:
             values["life cycle"] = self.life_cycle

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 LONGEST_VALUE = 60
 """Characters of a wrong value that are shown."""
 
+LEAST = 1e-9
+"""A least value so small stands for more than 0."""
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 """What pydantic calls an unknown key of a model, and of a dataclass."""
 _IN_WORDS = {
@@ -72,6 +74,8 @@ def _wrong_value(found: Mapping[str, Any]) -> str:
     shown = shown if len(shown) <= LONGEST_VALUE else f"{shown[:LONGEST_VALUE]}..."
     message = _IN_WORDS.get(found["type"], found["msg"])
     message = message.removeprefix("Value error, ").removeprefix("Input should be ")
+    if found["type"] == "greater_than_equal" and 0 < found["ctx"]["ge"] <= LEAST:
+        message = "a number above 0"
     if found["type"] == "union_tag_invalid":
         message = f"one of {found['ctx']['expected_tags']}"
     expected = message[:1].lower() + message[1:] if message[1:2].islower() else message

@@ -20,9 +20,14 @@ _BINARY = (
     (rb"SQLite format 3", "an SQLite database", "a bag of MCAP, or a text"),
     (rb"%PDF|\x89PNG|\xff\xd8\xff", "a document or picture", "the numbers in it as CSV"),
     (rb"PAR1", "Parquet", "a CSV file"),
-    (rb"TDSm", "TDMS of LabVIEW", "its channels exported as CSV"),
+    (rb"TDS[mh]", "TDMS of LabVIEW", "its channels exported as CSV (Python's npTDMS reads it)"),
 )
 _TEXTS = (
+    (
+        r"\s*LabVIEW Measurement",
+        "a measurement file of LabVIEW (.lvm)",
+        "its columns as CSV (Python's lvm_read reads it)",
+    ),
     (r"version https://git-lfs", "a pointer of git-LFS in place of the file", "`git lfs pull` first"),
     (r"\s*<(?:!doctype|html|head|\?xml[^>]*>\s*<!doctype html)", "a web page in place of the file", "the file itself"),
     (r"\s*<\?xml|\s*<[a-zA-Z]", "XML", "a table of numbers"),

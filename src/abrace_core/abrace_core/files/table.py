@@ -29,6 +29,14 @@ _SUFFIX = re.compile(r"^(?P<name>.*?)(?:[_ ]|\s*[/,]\s*)(?P<unit>s|ms|us|µs|sec
 _CLOCK = re.compile(
     r"(?:.*?(\d{4})[-/](\d\d)[-/](\d\d)|.*?)(?:.*?\D)??(\d{1,2}):(\d\d):(\d\d)([.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?"
 )
+_STATED = re.compile(
+    r"(?:dt|t_?s|delta_?t|sampl[a-z]*_?(?:period|interval|step|time)|time_?step)(?:_(?P<unit>s|ms|us))?"
+    r"|(?P<rate>f_?s|sampl[a-z]*_?(?:rate|freq|frequency))(?:_(?P<hertz>k?hz))?",
+    re.IGNORECASE,
+)
+"""Names of a sample period or rate."""
+LONGEST_STEP = 0.5
+"""Of times without a unit [s]: greater numbers count samples, or are of another unit."""
 _TIME = re.compile(r"t|.*time|time.*|tiempo|temps|zeit|tempo|.*timestamp|sampletimefine|seconds|sec", re.IGNORECASE)
 
 
@@ -48,7 +56,8 @@ def name_and_unit(written: str) -> tuple[str, str]:
 class Column:
     """A column: `name` without its `unit`, which is as written (empty: none), and `written` as in the file.
 
-    `cells` are (samples,) numbers, or their texts, whose `lines` are those of the file.
+    `cells` are (samples,) numbers, or their texts, whose `lines` are those of the file; the `sample_period` [s] is that
+    of a number beside the array, such as `dt`.
     """
 
     written: str
@@ -56,6 +65,7 @@ class Column:
     unit: str
     cells: NDArray[Any] | Sequence[str]
     lines: Sequence[int] = ()
+    sample_period: float | None = None
 
     @classmethod
     def of(cls, written: str, unit: str, cells: NDArray[Any] | Sequence[str], lines: Sequence[int] = ()) -> Self:
@@ -65,6 +75,11 @@ class Column:
         if not own and (short := _SUFFIX.match(written)) and _TIME.fullmatch(short["name"]):
             name, own = short["name"], short["unit"]
         return cls(written, name or written, unit or own, cells, lines)
+
+    def is_same(self, other: Column) -> bool:
+        """Whether it is the `other`, or the times that another structure has as well."""
+        arrays = isinstance(self.cells, np.ndarray) and isinstance(other.cells, np.ndarray)
+        return self is other or (arrays and self.is_time and other.is_time and np.array_equal(self.cells, other.cells))
 
     @property
     def is_dates(self) -> bool:
@@ -85,9 +100,10 @@ class Column:
 
     @property
     def is_time(self) -> bool:
-        """Whether it is one of times, by its name, or by its unit and the lack of a name."""
+        """Whether it is one of times, by its name, of a struct's field by the field's."""
         unit = unit_in_header(self.unit)
-        return bool(_TIME.fullmatch(self.name)) and (unit is None or unit.dimension == TIME)
+        field = self.name.rpartition(".")[2] if isinstance(self.cells, np.ndarray) else self.name
+        return bool(_TIME.fullmatch(field)) and (unit is None or unit.dimension == TIME)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +116,8 @@ class Table:
     sample_period: float | None = None
     unit: str = ""
     count: float | None = None
+    left_out: str = ""
+    """What of the source is no column, and why."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -107,15 +125,19 @@ class Table:
         return tuple(column.written or str(i) for i, column in enumerate(self.columns, 1))
 
     def find(self, name: str) -> Column | None:
-        """The column of this name, with or without its unit in any case, or of this number; None: none, or several."""
+        """The column of this name, with or without its unit in any case, or of this number; None: none, or several.
+
+        The last part of a name is enough, as `w` of `model/table/w` or `test.w`.
+        """
         for key in (
             lambda each: each.written == name,
             lambda each: each.name == name,
             lambda each: name.strip().lower() in (each.written.lower(), each.name.lower()),
+            lambda each: re.split(r"[./]", each.name)[-1] == name.strip(),
         ):
             found = [column for column in self.columns if key(column)]
             if found:
-                return found[0] if len(found) == 1 else None
+                return found[0] if all(each.is_same(found[0]) for each in found) else None
         number = int(name) if name.strip().isdecimal() and name.isascii() else 0
         return self.columns[number - 1] if 0 < number <= len(self.columns) else None
 
@@ -146,6 +168,14 @@ class Table:
             left = f"; and {len(mistakes) - MOST_NAMED} more" if len(mistakes) > MOST_NAMED else ""
             raise AbraceError(f"{self.source}, line {line}: {first}, expected a finite number{others}{left}")
         return found
+
+    def rises(self, column: Column) -> bool:
+        """Whether the numbers of a `column` rise throughout, as times do."""
+        try:
+            (values,) = self.values([column.as_seconds])
+        except AbraceError:
+            return False
+        return bool(len(values) > 1 and (np.diff(values) > 0).all())
 
     def step(self, column: Column, given: float | None = None) -> float:
         """The sample period [s] of a `column` of times, of which none may be wrong; as `sampling`.
@@ -227,13 +257,23 @@ def _number(cell: str) -> float | None:
 def array_table(arrays: Mapping[str, Any], source: str) -> Table:
     """The columns of arrays by name, which errors call `source`, without what is no vector or matrix of real numbers.
 
-    Fields of structs are `struct.field`; column i (from 1) of a matrix M is M_i, of one that is wider than it is long
-    row i. A structure with time of Simulink has its `time` and `signals.values`.
+    Column i (from 1) of a matrix M is M_i, of one that is wider than it is long row i. Fields of structs are
+    `struct.field`. Of Simulink's structure S the values are S, or their labels where there are several, and the times
+    `S.time`; of a recording R of dSPACE each series has its own name, and the times are `R.time`. A number that is
+    named `dt` or `fs` is the sample period or rate.
     """
     columns: list[Column] = []
-    for name, array in _flat(arrays, ""):
-        if array.dtype.kind in "OU":
-            array = _numbers_or_none(array)
+    left_out: list[str] = []
+    stated: dict[str, float] = {}
+    for name, value in _flat(arrays, ""):
+        array = _numbers_or_none(value) if value.dtype.kind in "OU" else value
+        if array.size == 1 and array.dtype.kind in "fiu" and (period := _stated_period(name, float(array.ravel()[0]))):
+            stated.setdefault(name.rpartition(".")[0], period)
+        if array.ndim > 2 and array.size > 1 and array.dtype.kind in "fiu":
+            size = " x ".join(map(str, array.shape))
+            left_out.append(f"{name or 'the array'} is {size}, expected each record of it as a matrix of its own")
+        elif array.dtype.kind == "c":
+            left_out.append(f"{name or 'the array'} is complex, expected real numbers")
         if array.dtype.kind not in "fiumM" or array.size < 2 or array.ndim not in (1, 2):
             continue
         if array.ndim == 1 or 1 in array.shape:
@@ -241,24 +281,75 @@ def array_table(arrays: Mapping[str, Any], source: str) -> Table:
         else:
             series = array.T if array.shape[0] >= array.shape[1] else array
             columns += [Column.of(f"{name}_{i}" if name else str(i), "", one) for i, one in enumerate(series, 1)]
-    return Table(source, tuple(columns))
+    columns = [
+        replace(each, sample_period=stated.get(each.name.rpartition(".")[0], stated.get(""))) for each in columns
+    ]
+    periods = {each.sample_period for each in columns}
+    period = periods.pop() if len(periods) == 1 else None
+    return Table(source, tuple(columns), sample_period=period, left_out="; ".join(left_out))
+
+
+def _stated_period(name: str, number: float) -> float | None:
+    """The sample period [s] that a `number` of this name states; None where it is named, or of a size, otherwise."""
+    found = _STATED.fullmatch(name.rpartition(".")[2])
+    if not (found and 0 < number < np.inf):
+        return None
+    if found["rate"]:
+        return 1 / (number * (1e3 if (found["hertz"] or "").lower() == "khz" else 1.0))
+    unit = unit_in_header(found["unit"] or "")
+    if unit is None:
+        return number if number < LONGEST_STEP else None
+    return number * unit.factor
 
 
 def _flat(arrays: Mapping[str, Any], prefix: str) -> list[tuple[str, NDArray[Any]]]:
+    """Names and arrays of `arrays` and of the structs in them, whose names begin with the `prefix`."""
     found: list[tuple[str, NDArray[Any]]] = []
     for name, value in arrays.items():
         if str(name).startswith("__"):
             continue
         if isinstance(value, dict):
-            found += _flat(value, f"{prefix}{name}.")
-        elif isinstance(value, list) and value and all(isinstance(each, dict) for each in value):
-            for i, each in enumerate(value, 1):
+            named = _of_simulink(value, f"{prefix}{name}") or _of_dspace(value, f"{prefix}{name}")
+            found += named or _flat(value, f"{prefix}{name}.")
+        elif structs := _structs(value):
+            for i, each in enumerate(structs, 1):
                 found += _flat(each, f"{prefix}{name}_{i}.")
         elif hasattr(value, "toarray"):
             found.append((prefix + str(name), value.toarray()))
         else:
             found.append((prefix + str(name), np.asarray(value)))
     return found
+
+
+def _structs(value: Any) -> list[dict[str, Any]]:
+    """The structs of a struct array; none: it is none."""
+    several = [value] if isinstance(value, dict) else value if isinstance(value, list) else []
+    if isinstance(value, dict) and value and all(isinstance(each, list) for each in value.values()):  # of version 7.3
+        several = [dict(zip(value, each, strict=True)) for each in zip(*value.values(), strict=False)]
+    return several if several and all(isinstance(each, dict) for each in several) else []
+
+
+def _of_simulink(struct: Mapping[str, Any], name: str) -> list[tuple[str, NDArray[Any]]]:
+    """Names and arrays of Simulink's structure of this name, with or without time; none: it is none."""
+    signals = _structs(struct.get("signals"))
+    if not signals or not all("values" in each for each in signals):
+        return []
+    labels = [str(each.get("label", "")).strip() if isinstance(each.get("label"), str) else "" for each in signals]
+    alone = len(signals) == 1
+    names = [name if alone else label or f"{name}_{i}" for i, label in enumerate(labels, 1)]
+    times = [(f"{name}.time", np.asarray(struct["time"]))] if np.size(struct.get("time", [])) else []
+    return [*times, *((each, np.asarray(one["values"])) for each, one in zip(names, signals, strict=True))]
+
+
+def _of_dspace(struct: Mapping[str, Any], name: str) -> list[tuple[str, NDArray[Any]]]:
+    """Names and arrays of dSPACE's recording of this name, whose X has the times and Y the series; none: it is none."""
+    axes, series = (_structs(struct.get(key)) for key in "XY")
+    if not (axes and series and all("Data" in each for each in (*axes, *series))):
+        return []
+    times = [(f"{name}.time" if len(axes) == 1 else f"{name}.time_{i}", each) for i, each in enumerate(axes, 1)]
+    paths = [" ".join(str(each.get("Name", "")).replace('"', "").split()) for each in series]
+    names = [path or f"{name}.Y_{i}" for i, path in enumerate(paths, 1)]
+    return [(each, np.asarray(one["Data"])) for each, one in (*times, *zip(names, series, strict=True))]
 
 
 def _numbers_or_none(array: NDArray[Any]) -> NDArray[Any]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from abrace_core import AbraceError
 from abrace_core.files.table import Column, Table
-from abrace_core.files.units import TIME, unit_in_header
+from abrace_core.files.units import ACCELERATION, TIME, unit_in_header
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,13 +27,21 @@ _COMMA_NUMBER = re.compile(r"[-+]?(?:[0-9]+(?:,[0-9]+)?|,[0-9]+)(?:[eEdD][-+]?[0
 _NOTHING = re.compile(r"(?:nan|n/?a|-|null|none|[-+]?inf(?:inity)?)?", re.IGNORECASE)
 _COMMENT = re.compile(r"\s*(?:#|%|//|!|\*)")
 _BRACKET_CELLS = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
-_VALUE = rf"(?![a-z])(?P<label>[^:=\n]{{0,30}}?)[:=]\s*/?\s*(?P<value>{NUMBER})\s*(?P<after>[a-zµ]*)"
+_VALUE = (
+    r"(?![a-z])(?:(?P<label>[^:=\n]{0,30}?)[:=]\s*/?|(?: of| is)?(?= ))\s*"
+    rf"(?P<value>{NUMBER})(?!\d|\s*(?:-|to)\s*\d)\s*(?P<after>[a-zµ]*)"
+)
+"""A number after a name, of which it may be divided by a label; two ends of a range are none."""
 _INTERVAL = re.compile(
-    r"(?<![a-z])(?:sampl\w*[ _-]*(?:interval|period|time|step)|time[ _-]*(?:step|interval|increment)|delta[ _-]*t|dt|"
-    rf"intervalo de muestreo){_VALUE}",
+    r"(?<![a-z])(?:sampl\w*[ _-]*(?:interval|period|time|step)|time[ _-]*(?:step|interval|increment)|"
+    rf"delta(?:[ _-]*t)?|dt|intervalo de muestreo){_VALUE}",
     re.IGNORECASE,
 )
-_RATE = re.compile(rf"(?<![a-z])(?:sampl\w*[ _-]*(?:rate|freq\w*)|fs){_VALUE}", re.IGNORECASE)
+_RATE = re.compile(
+    rf"(?<![a-z])(?:(?:sampl\w*[ _-]*(?:rate|freq\w*)|fs){_VALUE}"
+    rf"|sampled (?:at|with) (?P<at>{NUMBER})\s*(?P<hertz>k?hz|sps))",
+    re.IGNORECASE,
+)
 _LABEL_UNIT = re.compile(r"[\[(](\w+)[\])]|_(s|ms|us)\b", re.IGNORECASE)
 _COUNT = re.compile(
     rf"(?<![a-z])(?:npts?|ndata|num(?:ber)?\.? of (?:data|points|samples|values)){_VALUE}", re.IGNORECASE
@@ -43,6 +51,14 @@ _UNIT = re.compile(
     r"[ \t]*(?:[:=]|\bof\b|\bis\b|\bin\b)[ \t]*([^\n,;(]+?)(?=\s{2,}|[\n,;(]|\.\s|$)",
     re.IGNORECASE,
 )
+_IN_UNIT = re.compile(
+    r"(?<![a-z])(?:acc|accel|acceleration|value|amplitude|data)s?(?: (?:time )?(?:history|series|record|values|data))?"
+    r"(?:,? (?:are |is )?in (?:units of )?|, |\s*[\[(]\s*)([a-z%][^\s,;:()\[\]]*)",
+    re.IGNORECASE,
+)
+"""A unit in a sentence, such as `accelerations in g`."""
+_ONE_VALUE = re.compile(r"peak|max|min|pga|threshold|filter|scal|factor", re.IGNORECASE)
+"""Words of a line that states the unit of another number."""
 _JOINED = re.compile(r"(\.[0-9]+)(?=[-+][0-9.])")
 """In columns of a fixed width a number may begin where the one before ends."""
 LAST = 60
@@ -282,12 +298,13 @@ def _facts(above: str) -> dict[str, float | str]:
     facts: dict[str, float | str] = {}
     periods = set()
     for found in _INTERVAL.finditer(above):
-        labelled = _LABEL_UNIT.search(found["label"])
+        labelled = _LABEL_UNIT.search(found["label"] or "")
         unit = unit_in_header(next(filter(None, labelled.groups())) if labelled else found["after"] or "s")
         if unit is not None and unit.dimension == TIME:
             periods.add(float(f"{_value(found['value']) * unit.factor:.12g}"))
     for found in _RATE.finditer(above):
-        rate = _value(found["value"]) * (1e3 if "khz" in (found["label"] + found["after"]).lower() else 1.0)
+        stated = f"{found['label']}{found['after']}{found['hertz']}".lower()
+        rate = _value(found["value"] or found["at"]) * (1e3 if "khz" in stated else 1.0)
         if rate > 0:
             periods.add(1 / rate)
     periods = {each for each in periods if each > 0}
@@ -296,6 +313,9 @@ def _facts(above: str) -> dict[str, float | str]:
     if (counts := {_value(found["value"]) for found in _COUNT.finditer(above)}) and len(counts) == 1:
         facts["count"] = counts.pop()
     units = [found[1].strip() for found in _UNIT.finditer(above)]
+    for line in above.split("\n"):
+        written = [found[1].rstrip(".") for found in _IN_UNIT.finditer("" if _ONE_VALUE.search(line) else line)]
+        units += [each for each in written if (unit := unit_in_header(each)) and unit.dimension == ACCELERATION]
     known = {unit for each in units if (unit := unit_in_header(each)) is not None}
     if len(known) == 1:
         facts["unit"] = next(each for each in units if unit_in_header(each) is not None)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from abrace_core import AbraceError
+from abrace_core.model.signals import require_finite, response_names
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -126,17 +127,25 @@ class GuardedLaw:
         self._fade = [(1 - math.cos(math.pi * j / steps)) / 2 for j in range(1, steps)]
         self._step = 0
         self._floors = self._groups = 0
+        self._names: tuple[str, ...] = ()
 
     def begin(self, floors: int, groups: int) -> None:
         """Restart with the next sample of a rig with these numbers of `floors` and brace `groups`."""
         self._floors, self._groups, self._step = floors, groups, 0
+        self._names = response_names(floors, groups)
         self._call("begin", floors, groups, self._period)
 
     def force(self, number: int, z: Sequence[float], lost: int) -> list[float]:
         """The law's force (groups,) [N] in answer to sample `number`, faded in.
 
         `z` is [displacements, strokes, accelerations, forces], as measured; `lost` samples were lost just before.
+
+        Raises
+        ------
+        AbraceError
+            If a measured value is not finite, or the law fails.
         """
+        require_finite(number, z, self._names, self._names)
         floors, groups, values = self._floors, self._groups, np.array(z)
         x, stroke, a, f = np.split(values, np.cumsum([floors, groups, floors]))
         found = self._call("force", LawSample(number, x, stroke, a, f, lost))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from string import ascii_lowercase
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ from abrace_core import AbraceError
 from abrace_core.files.units import unit_as_stated
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
 GROUND = "w"
 """The table's acceleration W [m/s^2]."""
@@ -154,6 +155,53 @@ def unit(name: str) -> str:
     """
     units = {"x": "m", "a": "m/s^2", "w": "m/s^2", "f": "N", "U": "N"}
     return units[name[0]] if _OF_RIG.fullmatch(name) else "-"
+
+
+def field_of(name: str) -> str:
+    """The element of a `LawSample` that has the recorded quantity `name`.
+
+    >>> field_of("a2"), field_of("xf"), field_of("f3")
+    ('acceleration[1]', 'stroke[0]', 'force[2]')
+    """
+    fields = {letter: field for field, letter in _LETTERS.items()} | {"f": "force"}
+    letter = name.rstrip("0123456789")
+    return f"{fields[letter]}[{int(name[len(letter) :] or 1) - 1}]"
+
+
+def require_finite(number: int, values: Sequence[float], names: Sequence[str], used: Collection[str]) -> None:
+    """Refuse a sample with a recorded quantity that is not finite: a control law would keep it in its state.
+
+    Parameters
+    ----------
+    number
+        Of the sample in its run.
+    values, names
+        Of the recorded quantities, in one order.
+    used
+        Those that are looked at.
+
+    Raises
+    ------
+    AbraceError
+        Naming the first of them that is not finite.
+    """
+    if math.isfinite(sum(values)):
+        return
+    for name, value in zip(names, values, strict=True):
+        if name in used and not math.isfinite(value):
+            raise AbraceError(f"{field_of(name)} of sample {number} is {value:g}, expected a finite number")
+
+
+def unit_of_field(name: str) -> str:
+    """SI unit of a signal by its `name` in any form, also of a message's field; "-" for any other.
+
+    >>> unit_of_field("displacement[2]"), unit_of_field("force[0]"), unit_of_field("x3"), unit_of_field("force")
+    ('m', 'N', 'm', 'N')
+    """
+    field = name.partition("[")[0]
+    letter = {"force": "f", "table_displacement": "x", **_LETTERS}.get(field)
+    known = meaning(name)
+    return unit(letter or (name if isinstance(known, str) else known[0]))
 
 
 def is_recorded(name: str) -> bool:

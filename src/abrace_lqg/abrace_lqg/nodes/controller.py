@@ -114,7 +114,12 @@ class ControllerNode(BraceCommander):
             self.safety.fault(str(error))
 
     def force(self, sequence: int, z: tuple[float, ...], lost: int) -> np.ndarray:
-        """The law's command, faded where it comes in."""
+        """The law's command, faded where it comes in; a measured value that is not finite is a fault."""
+        try:
+            self.active_controller.require_finite(sequence, z)
+        except AbraceError as error:
+            self.safety.fault(str(error))
+            return np.zeros(len(self.guard.value))
         return self.active_controller.force(z, lost)
 
     def acted(self, force: list[float]) -> None:

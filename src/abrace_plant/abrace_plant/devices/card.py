@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from abrace_core import AbraceError
 from abrace_plant.devices.c_target import ARMED, DISARMED, CTarget, causes_in_words
-from abrace_plant.devices.device import DeviceError, Reading, TargetStatus, Wanted
+from abrace_plant.devices.device import DeviceError, Reading, TargetStatus, Wanted, shape_problem
 from abrace_plant.devices.file import load_calibration
 
 if TYPE_CHECKING:
@@ -110,11 +111,14 @@ class Card(ABC):
         self._take([*command, table], wanted, arm)
         try:
             self._put(1 + self._missed)
-            raw, self._missed = self.read()
+            read, self._missed = self.read()
             stamp = time.time_ns() - round(1e9 * self.calibration.delay)
-            values, clipped = self.calibration.measured(np.asarray(raw, dtype=np.float64))
+            raw = np.asarray(read, dtype=np.float64)
         except Exception as error:
             raise DeviceError(f"{self.name}: {error}") from error
+        if problem := shape_problem(raw, self.calibration.channels):
+            raise AbraceError(f"{self.name}: read gave {problem}")
+        values, clipped = self.calibration.measured(raw)
         target, armed = self._target, self._target.state == ARMED
         status = TargetStatus(
             target.last_arm if armed else 0,

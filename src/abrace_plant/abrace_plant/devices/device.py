@@ -6,14 +6,15 @@ from __future__ import annotations
 import contextlib
 import threading
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
 
 from abrace_core import AbraceError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
 
@@ -115,6 +116,52 @@ class Device(Protocol):
     def close(self) -> None:
         """Disconnect."""
         ...
+
+
+def exchange(
+    device: Device, names: Sequence[str], command: Sequence[float], table: float, wanted: Wanted, arm: int
+) -> Reading:
+    """One exchange with a `device` of a rig with channels of these `names`, whose reading is checked.
+
+    `command`, `table`, `wanted` and `arm` are as in `Device`.
+
+    Raises
+    ------
+    DeviceError
+        If the device fails.
+    AbraceError
+        If what it gives is no `Reading` of these channels: its program is wrong, and breaks off the run.
+    """
+    reading = device.exchange(command, table, wanted, arm)
+    if problem := _problem(reading, names):
+        raise AbraceError(f"{type(device).__name__.lower()}: {problem}")
+    return reading
+
+
+def _problem(reading: object, names: Sequence[str]) -> str:
+    """Why what a device has given is no reading of the channels with these `names`; empty: it is one."""
+    if not isinstance(reading, Reading):
+        return f"exchange gave {reading!r:.40}, expected a Reading"
+    values = reading.values
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
+        return f"values {values!r:.40}, expected a NumPy array of numbers"
+    if problem := shape_problem(values, names):
+        return problem
+    if not isinstance(reading.target, TargetStatus):
+        return f"target {reading.target!r:.40}, expected a TargetStatus"
+    for name in ("stamp", "clipped", "missed", "commands_in_flight"):
+        number = getattr(reading, name)
+        if not isinstance(number, (int, np.integer)) or number < 0:
+            return f"{name} {number!r:.40}, expected a whole number, at least 0"
+    return ""
+
+
+def shape_problem(values: NDArray[Any], names: Sequence[str]) -> str:
+    """Why `values` are not one for each of these `names`; empty: they are."""
+    if values.shape == (len(names),):
+        return ""
+    count = f"{len(values)} values" if values.ndim == 1 else f"values of shape {values.shape}"
+    return f"{count}, expected {len(names)}: {', '.join(names)}"
 
 
 OPEN_TIME = 5.0

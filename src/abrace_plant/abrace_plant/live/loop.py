@@ -20,7 +20,7 @@ from abrace_core.safety.command_guard import CommandGuard
 from abrace_core.safety.rig_safety import NOT_MEASURED, RAMP_TIME, RigSafety, State
 from abrace_core.safety.table_guard import TableGuard
 from abrace_core.safety.wire import LAST, LATE, LOCKSTEP, RATE_LIMITED, SATURATED, STOP_PRESSED, TABLE_LIMITED, Head
-from abrace_plant.devices.device import Wanted
+from abrace_plant.devices.device import Wanted, exchange
 from abrace_plant.live.rest import RestCheck
 from abrace_plant.rig.interlocks import Interlocks
 from abrace_plant.rig.sensors import OverRange
@@ -420,9 +420,13 @@ class RigLoop:
             return self.ending and (self._safety.at_rest or self._safety.state is State.NOT_AT_REST)
         return self.ending and self._safety.at_rest and self._rest_known
 
+    def exchange(self, force: list[float], table: float, wanted: Wanted, arm: int) -> Reading:
+        """Send what `act` gave, `force`, `table`, `wanted` and `arm`, and wait for the reading, which is checked."""
+        return exchange(self._device, self._names, force, table, wanted, arm)
+
     def step(self) -> Sample:
         """Take the next sample at once."""
-        return self.take(self._device.exchange(*self.act()))
+        return self.take(self.exchange(*self.act()))
 
     def until_it_acts(self) -> Sample:
         """Take samples without an input until commands act in full; returns the first one at which they do."""

@@ -107,7 +107,7 @@ class RealTimeRun(threading.Thread):
                 else:
                     loop.repeat()
             try:
-                reading = self._device.exchange(*command)
+                reading = loop.exchange(*command)
             except DeviceError as error:
                 # a device that fails at once would be asked thousands of times a second, and ramps would be as fast
                 time.sleep(max(0.0, tick + period - monotonic()))

@@ -22,7 +22,7 @@ from abrace_core.model.run import Run
 from abrace_node.node import AbraceNode
 from abrace_node.parameters import Parameter
 from abrace_node.process import run
-from abrace_plant.devices.device import Device, Reading, Wanted, make_safe_and_close, open_device
+from abrace_plant.devices.device import Device, Reading, Wanted, exchange, make_safe_and_close, open_device
 from abrace_plant.devices.file import load_device
 from abrace_plant.devices.sensor_check import check_sensors
 from abrace_plant.rig.file import load_rig
@@ -86,7 +86,8 @@ def read_at_rest(device: Device, rig: Rig, samples: int) -> list[Reading]:
     """Readings of the device with zero force and the table at rest; the target is not armed."""
     open_device(device)
     try:
-        readings = [device.exchange([0.0] * rig.groups, 0.0, Wanted.SAFE, 0) for _ in range(samples)]
+        names, zero = rig.channel_names, [0.0] * rig.groups
+        readings = [exchange(device, names, zero, 0.0, Wanted.SAFE, 0) for _ in range(samples)]
     except BaseException as error:
         make_safe_and_close(device, error)
         raise

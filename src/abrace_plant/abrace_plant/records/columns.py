@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core import AbraceError
+from abrace_core.files.table import LONGEST_STEP
 from abrace_plant.records.reading import LEAST, Reading, checked_reading, factor_of
 
 if TYPE_CHECKING:
@@ -23,8 +24,6 @@ _ACCELERATION = re.compile(r"(?<![a-z])(?:acc|accel|acceleration|beschleunigung|
 _SHORT = {"a", "ag", "ug_ddot", "acc", "ground_acceleration"}
 _OTHER_MOTIONS = re.compile(r"(?<![a-z])(velocity|displacement|spectr(?:um|a|al)|velocidad)(?![a-z])", re.IGNORECASE)
 _COUNTS = re.compile(r"counts?|digits?|raw|lsb", re.IGNORECASE)
-LONGEST_STEP = 0.5
-"""Of times without a unit [s]: whole numbers above it count samples, or are of another unit."""
 
 
 def read_columns(table: Table, asked: Asked) -> Reading:
@@ -35,9 +34,10 @@ def read_columns(table: Table, asked: Asked) -> Reading:
     AbraceError
         If no column is one for certain: what can be given.
     """
-    times = _times(table)
-    others = [column for column in table.columns if column is not times]
-    column = _chosen(table, others, times, asked)
+    all_times = _times(table)
+    others = [column for column in table.columns if not any(column is each for each in all_times)]
+    column = _chosen(table, others, bool(all_times), asked)
+    times = _times_of(table, all_times, column, asked)
     unit = column.unit or table.unit or None
     title = column.name or (f"column {table.columns.index(column) + 1}" if len(table.columns) > 1 else "")
     if unit is not None and factor_of(unit) is None:
@@ -54,34 +54,72 @@ def read_columns(table: Table, asked: Asked) -> Reading:
             where += f", line {column.lines[sample]}" if column.lines else f", row {sample + 1}"
         return AbraceError(f"{table.source}{where}: {message}")
 
-    period = _period(table, times, asked)
-    return checked_reading(values, error_at, unit=unit, sample_period=period, chosen=title)
+    period = _period(table, times, column, asked)
+    reading = checked_reading(values, error_at, unit=unit, sample_period=period, chosen=title)
+    return replace(reading, header=next(filter(None, map(str.strip, table.header.split("\n"))), ""))
 
 
-def _times(table: Table) -> Column | None:
-    """The column of times: by its name, or, in a table without names, the first one if it rises evenly."""
+def _times(table: Table) -> list[Column]:
+    """The columns of times: by their names, or, in a table without names, the first one if it rises evenly."""
     named = [column for column in table.columns if column.is_time]
+    plain = [column for column in named if column.name.lower() in ("t", "time")]
     if named:
-        return (
-            named[0] if len(named) == 1 else next((each for each in named if each.name.lower() in ("t", "time")), None)
-        )
+        return plain[:1] if plain and named[0].lines else named
     first = table.columns[0] if len(table.columns) > 1 else None
-    names = {column.name.rpartition("_")[0] for column in table.columns}
-    if first is None or (any(column.name for column in table.columns) and (len(names) > 1 or names == {""})):
-        return None
+    matrices = {_matrix(column) for column in table.columns}
+    if first is None or matrices == {None} or len(matrices) > 1:
+        return []
+    return [first] if _is_times(table, first) else []
+
+
+def _matrix(column: Column) -> str | None:
+    """The name of the matrix whose column it is, empty where that or the table has none; None: it is none."""
+    matrix, _, number = column.name.rpartition("_")
+    return matrix if not column.name or number.isdecimal() else None
+
+
+def _is_times(table: Table, first: Column) -> bool:
+    """Whether the `first` column of a table or matrix without names has times."""
     try:
-        return first if table.step(first) else None
+        return table.step(first) > 0
     except AbraceError:
         # 0, 0.01, 0.02, 0.04: times with a mistake, which is told
         (values,) = table.values([first])
-        return first if len(table.columns) == 2 and not table.names[0].strip("1") and _rises(values) else None
+        return len(table.columns) == 2 and not table.names[0].strip("1") and _rises(values)
+
+
+def _times_of(table: Table, times: list[Column], column: Column, asked: Asked) -> Column | None:
+    """The times of a `column`: those in its struct, or of its length; of a matrix its first column if it rises evenly.
+
+    Raises
+    ------
+    AbraceError
+        If there are several, and no sample period was given.
+    """
+    if not times:
+        matrix = _matrix(column)
+        first = next((each for each in table.columns if matrix and each.name == f"{matrix}_1"), column)
+        return first if first is not column and not first.lines and _is_times(table, first) else None
+    structs = {each.name.rpartition(".")[0]: each for each in times}
+    own = next(
+        (each for name, each in structs.items() if name and re.match(rf"{re.escape(name)}([._]|$)", column.name)), None
+    )
+    if own is not None:
+        return own
+    fitting = [each for each in times if len(each.cells) == len(column.cells)] or times
+    if all(each.is_same(fitting[0]) for each in fitting):
+        return fitting[0]
+    if asked.sample_period is None and column.sample_period is None:
+        names = ", ".join(each.name for each in fitting)
+        raise AbraceError(f"{table.source}: {len(fitting)} columns of times, {names}; expected {asked.period()} in s")
+    return None
 
 
 def _rises(values: np.ndarray) -> bool:
     return bool(np.isfinite(values).all() and np.mean(np.diff(values) > 0) > 0.9) if len(values) > 2 else False
 
 
-def _chosen(table: Table, others: list[Column], times: Column | None, asked: Asked) -> Column:
+def _chosen(table: Table, others: list[Column], timed: bool, asked: Asked) -> Column:
     names = [name for name, column in zip(table.names, table.columns, strict=True) if column in others]
     if asked.channel is not None:
         column = table.find(asked.channel)
@@ -90,16 +128,18 @@ def _chosen(table: Table, others: list[Column], times: Column | None, asked: Ask
         rows = [each for each in others if each.name.rpartition("_")[0] == asked.channel.strip()]
         if len(rows) == 1:  # a matrix of times and values
             return rows[0]
-        raise AbraceError(f"{table.source}: no column {asked.channel!r}, expected {asked.one_of(names)}")
+        note = table.left_out and f" ({table.left_out})"
+        raise AbraceError(f"{table.source}: no column {asked.channel!r}, expected {asked.one_of(names)}{note}")
     named = [column for column in others if _ACCELERATION.search(_words(column.name)) or column.name.lower() in _SHORT]
     if len(named) == 1 and (named[0].lines or len(named[0].cells) >= LEAST):
         return named[0]
     plain = not any(column.name for column in table.columns)
-    only = len(others) == 1 and (plain or (times is not None and not others[0].lines))
+    only = len(others) == 1 and (plain or (timed and not others[0].lines))
     if only and (others[0].lines or len(others[0].cells) >= LEAST):
         return others[0]
     if not table.columns:
-        raise AbraceError(f"{table.source}: no array of real numbers, expected an acceleration")
+        note = table.left_out or "no array of real numbers, expected an acceleration"
+        raise AbraceError(f"{table.source}: {note}")
     if not others:
         raise AbraceError(f"{table.source}: no column of an acceleration beside {', '.join(table.names)}")
     shown = [
@@ -115,17 +155,23 @@ def _words(name: str) -> str:
     return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
 
 
-def _period(table: Table, times: Column | None, asked: Asked) -> float | None:
+def _period(table: Table, times: Column | None, column: Column, asked: Asked) -> float | None:
     """The sample period [s] by the times, the header, or the user, who decides where they leave it open."""
     given = asked.sample_period
+    stated = column.sample_period or table.sample_period
     if times is None:
-        return table.sample_period
+        return stated
+    if (count := len(times.cells)) != len(column.cells):
+        if given is not None:
+            return given
+        what = f"{times.name} has {count} times and {column.name} {len(column.cells)} values"
+        raise AbraceError(f"{table.source}: {what}, expected as many, or {asked.period()} in s")
     if not times.unit:
         plain = replace(times, unit="s")
         step = table.step(plain)
         whole = step >= LONGEST_STEP
-        if whole and (given is not None or table.sample_period is not None):  # numbers of samples, or another unit
-            return table.sample_period if given is None else given
+        if whole and (given is not None or stated is not None):  # numbers of samples, or another unit
+            return stated if given is None else given
         if whole:
             what = f"{times.name or 'column 1'} rises by {step:g} and states no unit"
             raise AbraceError(f"{table.source}: {what}, expected {asked.period()} in s")

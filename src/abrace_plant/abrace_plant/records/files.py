@@ -41,6 +41,8 @@ KNOWN_RECORDS = {
 
 Its file of Northridge is an aftershock (PEER's RSN 1690), not the main shock.
 """
+SHOWN = 60
+"""Characters of a header that an error shows."""
 
 
 def read_record(
@@ -62,7 +64,8 @@ def read_record(
         [s]; needed where the file states none. It decides where times are rounded, or have no unit.
     channel
         Channel of a file with several: name or number of a column, number of a channel, name of a MATLAB variable, an
-        acceleration of a bag's test (w where none is given). Needed if a file has more than one.
+        acceleration of a bag's test, as TOPIC:NAME where it has several topics of responses (w where none is given).
+        Needed if a file has more than one.
     way
         How a refusal writes an argument that can be given.
 
@@ -96,7 +99,8 @@ def read_record(
     if reading.sample_period is None and sample_period is None:
         missing.append(f"times in the file, expected {asked.period()} in s")
     if missing:
-        raise record_error(name, f"{reading.chosen and reading.chosen + ': '}no {'; no '.join(missing)}")
+        header = reading.header and f" (it begins with {reading.header[:SHOWN]!r})"
+        raise record_error(name, f"{reading.chosen and reading.chosen + ': '}no {'; no '.join(missing)}{header}")
     stated = reading.unit or unit or ""
     factor = factor_of(stated)
     if factor is None:
@@ -134,7 +138,7 @@ def _read(name: str, path: Path, asked: Asked) -> Reading:
         if is_folder or content in (b"\x89MCAP0\r\n", b"SQLite f") or path.suffix.lower() == ".mcap":
             from abrace_plant.records.bag_format import read_bag  # imports for a quarter of a second
 
-            return read_bag(name, path, asked.channel)
+            return read_bag(name, path, asked)
         content += b"" if file is None else file.read()
     source = f"ground motion {name}"
     if kind := seismic_kind(content):

@@ -23,10 +23,8 @@ _AT2_SIZES = (
 
 def is_peer(lines: list[str]) -> bool:
     """Whether the lines of a file begin as PEER's do."""
-    top = "\n".join(lines[:4])
-    return bool(
-        re.search(r"PEER .*(DATABASE|RECORD)|TIME (SERIES|HISTORY) IN UNITS OF|NPTS\s*,\s*DT", top, re.IGNORECASE)
-    )
+    marks = (r"PEER .*(DATABASE|RECORD)", "", r"TIME (SERIES|HISTORY) IN UNITS OF", r"NPTS\s*,\s*DT")
+    return any(mark and re.search(mark, line, re.IGNORECASE) for mark, line in zip(marks, lines[:4], strict=False))
 
 
 def read_at2(file: RecordText) -> Reading:

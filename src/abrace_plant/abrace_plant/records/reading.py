@@ -42,6 +42,8 @@ class Reading:
         What of the file it is, such as its column; empty: all.
     warnings
         One sentence each, of the times of the samples.
+    header
+        First line above the values of a text; empty: there is none.
     """
 
     acceleration: NDArray[np.float64]
@@ -49,6 +51,7 @@ class Reading:
     unit: str | None
     chosen: str = ""
     warnings: tuple[str, ...] = ()
+    header: str = ""
 
 
 def factor_of(unit: str) -> float | None:
