@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 
 # nothing is installed yet when the whole is run: abrace from its sources
-sys.path.extend(str(Path(__file__).resolve().parents[2] / "src" / package) for package in ("abrace_core", "abrace_node"))
+sys.path.extend(str(Path(__file__).resolve().parents[2] / "src" / each) for each in ("abrace_core", "abrace_node"))
 
 from outcomes import Report, read_quarantine
 from processes import stop_when_asked
