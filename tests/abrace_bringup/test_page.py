@@ -88,7 +88,7 @@ def test_the_rigs_state_is_shown_in_words_and_silence_and_another_rig_are_told()
 
     shown = view.rig_view(rig)
     assert shown["channels"] == ["x1", "x2", "x3", "a1", "a2", "a3", "f", "w", "U"]
-    assert view.on_screen(last(3)).tolist() == [[1.0, 2.0, 3.0, 1.0, 2.0, 3.0, 12.0, 0.1, -6.0]]
+    assert view.on_screen(last(3), rig).tolist() == [[1.0, 2.0, 3.0, 1.0, 2.0, 3.0, 12.0, 0.1, -6.0]]
     (group,) = shown["groups"]
     assert (group["name"], group["floor"], group["capacity"]) == ("f", 1, pytest.approx(24.516625))
     assert len(shown["heights"]) == 3

@@ -12,6 +12,7 @@ import numpy as np
 from abrace_bags.reader import TopicArrays
 from abrace_bags.stamps import stamped_times
 from abrace_core import AbraceError
+from abrace_core.model import signals
 from abrace_core.model.run import Run
 
 if TYPE_CHECKING:
@@ -104,29 +105,36 @@ def _part(response: TopicArrays, begin: int, end: int) -> TopicArrays:
 
 def _run(source: str, response: TopicArrays, period: float, facts: dict[str, Any]) -> Run:
     sequence = response.fields["sequence"]
-    values = {name: _finite(name, response.fields[name], sequence) for name in _VECTORS}
+    values = {name: _measured(name, response.fields[name], sequence) for name in (*_VECTORS, "ground_acceleration")}
     for names in (_FLOORS, _GROUPS):
         sizes = [values[name].shape[1] for name in names]
         if len(set(sizes)) > 1:
             raise AbraceError(f"{', '.join(names)} have {sizes} values, expected equal numbers")
     braces = _braces(response, values["stroke"].shape[1], values["force"].shape[1])
-    starts = np.concatenate([[0], np.cumsum(braces)[:-1]]).astype(np.intp)
-    forces = values["force"]
+    floors, groups = values["displacement"].shape[1], len(braces)
+    every = [*(values[name] for name in ("displacement", "stroke", "acceleration", "force"))]
+    channels = np.column_stack([*every, values["ground_acceleration"]])
+    names = signals.channel_names(floors, braces)
+    without = tuple(name for name, column in zip(names, channels[0].tolist(), strict=True) if math.isnan(column))
+    cells, ends = values["force"], np.cumsum([0, *braces]).tolist()
+    there = [[i for i in range(*edges) if not math.isnan(cells[0, i])] for edges in itertools.pairwise(ends)]
+    forces = [cells[:, some].sum(axis=1) / len(some) for some in there if some]
+    others = channels[:, : 2 * floors + groups]
     cause = next(filter(None, response.fields.get("cause", ())), "")
-    values["force"] = np.add.reduceat(forces, starts, axis=1) / braces if braces else forces
     return Run(
         source=source,
         sample_period=period,
         sequence=sequence,
-        floors=values["displacement"].shape[1],
-        groups=values["stroke"].shape[1],
-        outputs=np.hstack([values[name] for name in ("displacement", "stroke", "acceleration", "force")]),
-        ground_acceleration=_finite("ground_acceleration", response.fields["ground_acceleration"], sequence),
+        floors=floors,
+        groups=groups,
+        outputs=np.column_stack([others[:, ~np.isnan(others[0])], *forces]),
+        ground_acceleration=values["ground_acceleration"],
         command=values["command"],
         facts=facts | ({"stopped": str(cause)} if cause else {}),
         clipped=response.fields.get("clipped"),
         braces=braces,
-        forces=forces,
+        forces=cells[:, [i for some in there for i in some]],
+        without=without,
     )
 
 
@@ -141,10 +149,14 @@ def _braces(response: TopicArrays, groups: int, forces: int) -> tuple[int, ...]:
     return braces
 
 
-def _finite(name: str, values: NDArray[np.float64], sequence: NDArray[np.uint64]) -> NDArray[np.float64]:
+def _measured(name: str, values: NDArray[np.float64], sequence: NDArray[np.uint64]) -> NDArray[np.float64]:
+    """The `values`, finite, or NaN throughout where there is no sensor."""
     if values.dtype == object:
         raise AbraceError(f"{name} does not have the same number of values in all samples")
-    bad = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1))
+    wrong = ~np.isfinite(values).reshape(len(values), -1)
+    if name != "command":
+        wrong &= ~np.isnan(values.reshape(len(values), -1)).all(axis=0)
+    bad = np.flatnonzero(wrong.any(axis=1))
     if bad.size:
         raise AbraceError(f"{name} of sample {sequence[bad[0]]} is {values[bad[0]]}, expected finite values")
     return values

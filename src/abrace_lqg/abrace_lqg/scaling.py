@@ -82,10 +82,11 @@ def scaled_weights(
     relative = {name: value * weights.relative.get(name, 1.0) for name, value in unit.items()}
     floors = [name for name in model.outputs if is_of_kind(name, "displacement")]
     floors = floors or [name for name in model.outputs if weights.signals.get(name)]
+    floors = floors or [name for name in model.outputs if is_of_kind(name, "acceleration")]
     if weights.scale.reduction is not None and not floors:
         raise AbraceError(
-            f"weights: scale.reduction: the model has no displacements, only {', '.join(model.outputs)}, "
-            "expected scale.force, or weights by name in signals"
+            f"weights: scale.reduction: the model has no displacements and no accelerations, only "
+            f"{', '.join(model.outputs)}, expected scale.force, or weights by name in signals"
         )
 
     def with_factor(power: float) -> Weights:

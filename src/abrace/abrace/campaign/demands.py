@@ -133,9 +133,9 @@ def check_controller(controller: Controller, rig: Rig, source: str) -> None:
         If the controller's measurements, commands or sample rate are not the rig's.
     """
     law = controller.law
-    unknown = [name for name in law.inputs if name not in rig.model.outputs]
+    unknown = [name for name in law.inputs if name not in rig.recorded_names]
     if unknown:
-        raise AbraceError(f"{source} measures {', '.join(unknown)}, expected some of {', '.join(rig.model.outputs)}")
+        raise AbraceError(f"{source} measures {', '.join(unknown)}, expected some of {', '.join(rig.recorded_names)}")
     if law.outputs != command_names(rig.groups):
         expected = ", ".join(command_names(rig.groups))
         raise AbraceError(f"{source} commands {', '.join(law.outputs)}, expected {expected} as rig {rig.name} takes")

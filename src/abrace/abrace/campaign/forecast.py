@@ -116,12 +116,13 @@ class _Prepared:
         self.model = rig.discrete_model()
         noise = detectors(rig).noise
         interlocks = limit_table(rig, noise)
-        values = {kind: [interlocks[kind].value] for kind in UNITS if kind != "table"}
-        values["force"] = group_limits(rig, interlocks["force"], noise.get("force", 0.0)).tolist()
         self.limits = {
-            kind: [_limit(kind, rig, replace(interlocks[kind], value=value)) for value in of_kind]
-            for kind, of_kind in values.items()
+            kind: [_limit(kind, rig, interlocks.get(kind))] for kind in UNITS if kind not in ("table", "force")
         }
+        force = interlocks.get("force")
+        values = group_limits(rig, force, noise.get("force", 0.0)).tolist() if force else []
+        each = [replace(force, value=value) for value in values if force] or [force]
+        self.limits["force"] = [_limit("force", rig, one) for one in each]
         """By kind: the limit of each of its signals, or one that holds for all."""
 
 
@@ -216,7 +217,7 @@ class Forecaster:
         known, law, refusal = is_path(task.model), None, ""
         file = task.model if task.model.endswith(MODEL_FILE) else f"{task.model}/reduced{MODEL_FILE}"
         try:
-            model = task.for_control(load_model(file) if known else rig.model)
+            model = task.for_control(load_model(file) if known else rig.measured_model)
             options = of_rig(task, rig.sample_rate, rig.capacity).of_model(model)
             excitation = options.excitation(model)
             weights = load_weights(find_file(task.weights, "abrace_lqg", "config", ".yaml", "weights"))
@@ -247,7 +248,7 @@ def _stop(
     period, sensors, names = 1 / rig.sample_rate, rig.channel_sensors, rig.channel_names
     measurement, over_range = Measurement(sensors, 1, period), OverRange(sensors)
     measurement.faults = tuple(parse_fault(text, names, period) for text in faults)
-    readings = measurement.record(np.column_stack([outputs[:, rig.measured_outputs], ground]))
+    readings = measurement.record(rig.readings_of(outputs, ground))
     clipped = (readings > over_range.highest) | (readings < over_range.lowest)
     places = _places(rig.table, period, ground.tobytes())
     found = Interlocks(rig).first_trip(np.column_stack([readings, commands, places]), clipped)
@@ -296,9 +297,9 @@ def _response_peaks(
     return found
 
 
-def _limit(kind: str, rig: Rig, interlock: Interlock) -> tuple[float, str]:
+def _limit(kind: str, rig: Rig, interlock: Interlock | None) -> tuple[float, str]:
     """The least of a sensor's range and the interlock, if that stops the rig, and which of the two it is."""
-    limits = [(interlock.value, "interlock")] if interlock.action == "stop" else []
-    if kind != "drift":
-        limits.append((getattr(rig.sensors, kind).range, "sensor range"))
+    limits = [(interlock.value, "interlock")] if interlock and interlock.action == "stop" else []
+    if sensor := getattr(rig.sensors, kind, None):
+        limits.append((sensor.range, "sensor range"))
     return min(limits, default=(np.inf, "no limit"))

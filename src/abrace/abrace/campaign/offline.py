@@ -17,7 +17,7 @@ from abrace_core.files.installed import find_file
 from abrace_core.files.options import NOT_GIVEN
 from abrace_core.model.controller_file import load_controller
 from abrace_core.model.linear_model import load_model
-from abrace_core.model.signals import GROUND, response_names
+from abrace_core.model.signals import GROUND
 from abrace_lqg.proof.limits import of_rig
 from abrace_lqg.weights import load_weights
 from abrace_sysid.examination import LEAST_SECONDS
@@ -45,7 +45,7 @@ def wrong_offline(task: Task, tests: Mapping[str, RigTest], rig: Rig) -> Iterato
         case Design():
             wrong = list(_wrong_model("design.model", task.model, ("reduced",)))
             yield from wrong
-            model = rig.model
+            model = rig.measured_model
             try:
                 if task.model.endswith(MODEL_FILE) and not wrong:
                     model = load_model(task.model)
@@ -62,7 +62,7 @@ def wrong_offline(task: Task, tests: Mapping[str, RigTest], rig: Rig) -> Iterato
             yield from _wrong_bags("ambient.test", task.test)
             yield from _wrong_bags("ambient.before", task.before or ())
             try:
-                task.require_possible((*response_names(rig.floors, rig.groups), GROUND), rig.sample_rate)
+                task.require_possible((*rig.recorded_names, GROUND), rig.sample_rate)
             except AbraceError as error:
                 yield f"ambient: {error}"
         case Compare() | Validate():

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @draws(Run)
 def _of_run(run: Run, channels: Sequence[str] = ()) -> Figure:
-    names = several(channels) or (*run.names, *run.command_names, run.disturbance)
+    names = several(channels) or run.all_names
     columns = zip(names, run.channels(names).T, strict=True)
     return time_histories(run.time, {name: (column, run.unit(name)) for name, column in columns}, run.source).figure()
 

@@ -92,7 +92,7 @@ def simulate(
     -------
     Run
         As from a bag. A rig that was stopped by a fault (`run.stopped`) is a Python warning with the cause, a clipped
-        sensor one with its samples. Channels that a model of a rig does not have are NaN, with a Python warning; a
+        sensor one with its samples. Channels that a model of a rig does not have are not in the run; a
         model of other names, or of measured data, has its own.
 
     Raises
@@ -253,6 +253,11 @@ def _answer(rig: Rig, given: Controller | Law) -> tuple[Callable[[int, list[floa
             raise AbraceError(
                 f"controller {given.name}: every {given.law.sample_period:g} s, expected the rig's {period:g} s"
             )
+        if missing := [name for name in given.law.inputs if name in rig.model.outputs and name not in rig.recorded_names]:
+            raise AbraceError(
+                f"controller {given.name}: measures {', '.join(missing)}, expected some of what rig {rig.name} "
+                f"measures, {', '.join(rig.recorded_names)}"
+            )
         limit, active = given.force_limit, ActiveController(given, RAMP)
         active.reset(signals.response_names(floors, groups), signals.command_names(groups), np.zeros(groups))
     guard = CommandGuard(limit, rig.rate_limit.tolist(), period, RAMP_TIME)
@@ -320,10 +325,6 @@ def _of_model(
         )
     floors = max((int(each[1:]) for each in model.outputs if each[0] in "xa" and each[1:].isdigit()), default=0)
     names = signals.response_names(floors, groups)
-    has = [each for each in names if each in model.outputs]
-    if len(has) < len(names):
-        lacking = ", ".join(each for each in names if each not in has)
-        facts["warnings"] = [f"the model has no {lacking}: not a number (NaN) in the run"]
-    every = np.full((len(ground), len(names)), np.nan)
-    every[:, [names.index(each) for each in has]] = outputs[:, [model.outputs.index(each) for each in has]]
-    return Run(source, period, sequence, floors, groups, every, ground, command, facts)
+    outputs = outputs[:, [model.outputs.index(each) for each in names if each in model.outputs]]
+    without = tuple(each for each in names if each not in model.outputs)
+    return Run(source, period, sequence, floors, groups, outputs, ground, command, facts, without=without)

@@ -112,7 +112,8 @@ class Report:
 
     def _test_row(self, test: RecordedTest, run: Run, names: list[str]) -> tuple[str, ...]:
         found = {name: row.peak for name, row in peak_rms(run).items()}
-        found[signals.GROUND] = float(np.abs(run.ground_acceleration).max())
+        if signals.GROUND in run.all_names:
+            found[signals.GROUND] = float(np.abs(run.ground_acceleration).max())
         cells = (self.units.cell(name, paper_unit(name)[0] * found[name] if name in found else None) for name in names)
         duration = len(run.sequence) * run.sample_period
         return (test.step, test.drive(self.units), str(test.facts.get("controller") or "-"), f"{duration:g}", *cells)
@@ -215,9 +216,9 @@ def _rig_rows(rig: Rig) -> Iterator[tuple[str, str]]:
 
 
 def _worth_a_column(run: Run) -> list[str]:
-    top = run.floors
-    forces = [signals.numbered("f", run.groups)[0], run.command_names[0]] if run.groups else []
-    return [signals.GROUND, f"x{top}", f"a{top}", *forces]
+    tops = [[name for name in run.names if name[0] == letter and name[1:].isdigit()][-1:] for letter in "xa"]
+    forces = [name for name in run.names if name[0] == "f"][:1]
+    return [signals.GROUND, *tops[0], *tops[1], *forces, *run.command_names[:1]]
 
 
 def _warnings(test: RecordedTest) -> str:

@@ -21,11 +21,14 @@ def response_chart(test: RecordedTest, run: Run, units: Units) -> Chart:
 
     `run` is read from its bag; numbers are in these `units`. Of many floors three are drawn.
     """
-    floors = sorted({1, (run.floors + 1) // 2, run.floors}, reverse=True)
-    rows = [[signals.GROUND], [f"x{floor}" for floor in floors], [f"a{floor}" for floor in floors]]
-    rows += [list(signals.numbered("f", run.groups)) + list(run.command_names)] if run.groups else []
+    rows = [[name for name in run.all_names if name == signals.GROUND]]
+    for letter in "xa":
+        floors = [name for name in run.names if name[0] == letter and name[1:].isdigit()]
+        drawn = {0, (len(floors) - 1) // 2, len(floors) - 1} if floors else set()
+        rows.append([floors[i] for i in sorted(drawn, reverse=True)])
+    rows.append([name for name in run.names if name[0] == "f"] + list(run.command_names))
     panels = []
-    for names in rows:
+    for names in filter(None, rows):
         factor, unit = shown_unit(names[0], units.system)
         curves = beside(run.time, dict(zip(names, factor * run.channels(names).T, strict=True)))
         panels.append(Panel(curves, y_label=f"[{unit}]", x_limits=(float(run.time[0]), float(run.time[-1]))))

@@ -107,7 +107,7 @@ class OperatorPage(AbraceNode):
         self.operator = GraphOperator(self, self.let_pass)
         self.request = StopRequest(given.page_heartbeat)
         topics = (self.resolve_topic_name(name) for name in ("response", "robot_description"))
-        layout = foxglove_layout(self.rig.floors, self.rig.braces_in_group, *topics)
+        layout = foxglove_layout(self.rig.floors, self.rig.braces_in_group, *topics, self.rig.not_measured)
         self.server = PageServer(access, self, {"/foxglove.json": (layout, "application/json")}, self.page_failed)
         self.button: StopButton | None = None
         if given.operate:
@@ -144,7 +144,7 @@ class OperatorPage(AbraceNode):
             samples = self.reader.read(payloads)
         except AbraceError:
             return  # of a type that this is not: the rig is shown as silent
-        self.traces.add(samples.runs, samples.stamps, view.on_screen(samples))
+        self.traces.add(samples.runs, samples.stamps, view.on_screen(samples, self.rig))
         self.last = samples, time.monotonic()
 
     def watch(self) -> None:

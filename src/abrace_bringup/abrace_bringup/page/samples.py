@@ -88,10 +88,10 @@ class ResponseReader:
                 f"{', '.join(_VECTORS)} of {lengths} values, {len(braces)} groups of {sum(braces)} braces, expected "
                 "floors, floors, groups, braces, groups"
             )
-        starts = np.concatenate([[0], np.cumsum(braces)[:-1]]).astype(np.intp)
-        mean = np.add.reduceat(force, starts, axis=1) / braces if braces else force
-        z = [fields["displacement"], fields["stroke"], fields["acceleration"], mean]
-        values = np.hstack([*z, fields["ground_acceleration"][:, None], fields["command"]])
+        cells = np.split(force, np.cumsum(braces)[:-1], axis=1) if braces else []
+        means = [one[:, there].mean(axis=1) if (there := ~np.isnan(one[-1])).any() else one[:, 0] for one in cells]
+        z = [fields["displacement"], fields["stroke"], fields["acceleration"], *means]
+        values = np.column_stack([*z, fields["ground_acceleration"], fields["command"]])
         stamps = fields["header.stamp.sec"].astype(np.int64) * 10**9 + fields["header.stamp.nanosec"]
         return Samples(
             names=names_of(floors, len(braces)),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from abrace.report.node_table import count_of
 from abrace_bringup.page.samples import names_of
-from abrace_core.model.signals import numbered
+from abrace_core.model.signals import command_names, numbered
 from abrace_core.safety.rig_safety import ACTING, State
 from abrace_core.safety.wire import LATE, RATE_LIMITED, SATURATED, STOP_PRESSED, TABLE_LIMITED
 
@@ -73,18 +73,22 @@ def rig_view(rig: Rig) -> dict[str, Any]:
             {"name": name, "floor": group.floor, "cosine": group.cosine, "capacity": group.actuator.capacity / 1e3}
             for name, group in zip(numbered("f", len(rig.braces)), rig.braces, strict=True)
         ],
-        "channels": list(_shown(names)),
+        "channels": list(_shown(names, rig)),
     }
 
 
-def _shown(names: Sequence[str]) -> dict[str, int]:
-    """The channels that pages show, and their columns: all but strokes."""
-    return {name: names.index(name) for name in names if _CHANNEL.fullmatch(name)}
+def _shown(names: Sequence[str], rig: Rig) -> dict[str, int]:
+    """The channels that pages show of a `rig`, and their columns: all that are measured but strokes, and commands."""
+    known = {*rig.recorded_names, *rig.channel_names, *command_names(rig.groups)}
+    return {name: names.index(name) for name in names if _CHANNEL.fullmatch(name) and name in known}
 
 
-def on_screen(samples: Samples) -> NDArray[np.float64]:
-    """Displacements [mm], accelerations [m/s^2], forces and commands of a brace [kN], (samples, channels)."""
-    shown = _shown(samples.names)
+def on_screen(samples: Samples, rig: Rig) -> NDArray[np.float64]:
+    """Displacements [mm], accelerations [m/s^2], forces and commands of a brace [kN], (samples, channels).
+
+    The channels of `samples` are those that `rig_view` says of the `rig`.
+    """
+    shown = _shown(samples.names, rig)
     factors = [{"x": 1e3, "f": 1e-3, "U": 1e-3}.get(name[0], 1.0) for name in shown]
     return samples.values[:, list(shown.values())] * factors
 

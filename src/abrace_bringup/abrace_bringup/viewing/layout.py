@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 from abrace_core.model.signals import GROUND, command_names, load_cell_names
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
 COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
 
 
-def foxglove_layout(floors: int, braces: Sequence[int], response: str, description: str) -> bytes:
+def foxglove_layout(
+    floors: int, braces: Sequence[int], response: str, description: str, without: Collection[str] = ()
+) -> bytes:
     """The layout, a JSON file.
 
     Parameters
@@ -25,6 +27,8 @@ def foxglove_layout(floors: int, braces: Sequence[int], response: str, descripti
         How many are in each group.
     response, description
         Topics of the rig's samples, and of its robot description.
+    without
+        Channels that have no sensor.
     """
     curves = {
         "Displacements [m]": {f"x{i + 1}": f"displacement[{i}]" for i in range(floors)},
@@ -52,7 +56,10 @@ def foxglove_layout(floors: int, braces: Sequence[int], response: str, descripti
         "StateTransitions!state": {"paths": [{"value": f"{response}.state", "label": "state"}], "isSynced": True},
     }
     plots: list[str] = []
-    for title, fields in curves.items():
+    for title, every in curves.items():
+        fields = {name: field for name, field in every.items() if name not in without}
+        if not fields:
+            continue
         plots.append(f"Plot!{len(plots)}")
         paths = [
             {"value": f"{response}.{field}", "enabled": True, "color": COLOURS[number % len(COLOURS)], "label": name}

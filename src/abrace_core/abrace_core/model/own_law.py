@@ -128,24 +128,28 @@ class GuardedLaw:
         self._step = 0
         self._floors = self._groups = 0
         self._names: tuple[str, ...] = ()
+        self._measured: list[str] = []
 
     def begin(self, floors: int, groups: int) -> None:
         """Restart with the next sample of a rig with these numbers of `floors` and brace `groups`."""
         self._floors, self._groups, self._step = floors, groups, 0
-        self._names = response_names(floors, groups)
+        self._names, self._measured = response_names(floors, groups), []
         self._call("begin", floors, groups, self._period)
 
     def force(self, number: int, z: Sequence[float], lost: int) -> list[float]:
         """The law's force (groups,) [N] in answer to sample `number`, faded in.
 
-        `z` is [displacements, strokes, accelerations, forces], as measured; `lost` samples were lost just before.
+        `z` is [displacements, strokes, accelerations, forces], as measured, NaN where the first sample has NaN: the rig
+        has no such sensor; `lost` samples were lost just before.
 
         Raises
         ------
         AbraceError
             If a measured value is not finite, or the law fails.
         """
-        require_finite(number, z, self._names, self._names)
+        if not self._measured:
+            self._measured = [name for name, value in zip(self._names, z, strict=True) if not math.isnan(value)]
+        require_finite(number, z, self._names, self._measured)
         floors, groups, values = self._floors, self._groups, np.array(z)
         x, stroke, a, f = np.split(values, np.cumsum([floors, groups, floors]))
         found = self._call("force", LawSample(number, x, stroke, a, f, lost))

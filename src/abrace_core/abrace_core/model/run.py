@@ -67,7 +67,10 @@ class Run(Tabular):
     braces
         (groups,) number of braces, each with a load cell; by default one in each group.
     forces
-        (samples, braces) [N], of each brace, those of the first group first; None where only `outputs` has forces.
+        (samples, load cells) [N], those of the first group first; None where only `outputs` has forces.
+    without
+        Those of the rig's `signals.channel_names` for which there is no sensor. They are not in `outputs` and `forces`;
+        the table's acceleration is then NaN.
     signals
         Of a structure that is no rig, which has no floors: names of the outputs, of the disturbance and of the
         commands, in this order; none: those of a rig.
@@ -89,11 +92,14 @@ class Run(Tabular):
     forces: NDArray[np.float64] | None = None
     signals: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
+    without: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         rig = f"{self.floors} floors, {self.groups} brace group{'' if self.groups == 1 else 's'}"
         if self.signals:
             rig = f"{', '.join((self.disturbance, *self.command_names))} to {', '.join(self.names)}"
+        elif self.without:
+            rig += f", {', '.join(self.without)} not measured"
         rate, samples = 1 / self.sample_period, len(self.sequence)
         clipped = [f"{name} {count} samples" for name, count in (self.clipped_samples or {}).items() if count]
         wrong = [f"STOPPED: {self.stopped}"] * bool(self.stopped) + [f"CLIPPED: {', '.join(clipped)}"] * bool(clipped)
@@ -141,7 +147,7 @@ class Run(Tabular):
         """Names of the channels of `outputs`."""
         if self.signals:
             return self.signals[: self.outputs.shape[1]]
-        return signals.response_names(self.floors, self.groups)
+        return signals.recorded_names(self.floors, self.braces or (1,) * self.groups, self.without)
 
     @property
     def command_names(self) -> tuple[str, ...]:
@@ -152,6 +158,11 @@ class Run(Tabular):
     def disturbance(self) -> str:
         """Name of what disturbs: of a rig `w`."""
         return self.signals[self.outputs.shape[1]] if self.signals else signals.GROUND
+
+    @property
+    def all_names(self) -> tuple[str, ...]:
+        """Names of the outputs, of the commands, and of the disturbance if it is measured."""
+        return (*self.names, *self.command_names, *({self.disturbance} - {*self.without}))
 
     @property
     def command_from_here(self) -> NDArray[np.float64]:
@@ -183,15 +194,14 @@ class Run(Tabular):
         AbraceError
             With all names that are not among them (`signals.positions`).
         """
-        known = (*self.names, *self.command_names, self.disturbance)
-        chosen = signals.positions(names, known, f"{self.source}: no channel")
+        chosen = signals.positions(names, self.all_names, f"{self.source}: no channel")
         return np.hstack([self.outputs, self.command, self.ground_acceleration[:, None]])[:, chosen]
 
     def to_pandas(self) -> pandas.DataFrame:
         """All channels as columns [SI units, in `attrs`], by the time since the rig's sample 0 [s] (`time`)."""
         import pandas
 
-        names = (*self.names, *self.command_names, self.disturbance)
+        names = self.all_names
         frame = pandas.DataFrame(
             dict(zip(names, self.channels(names).T, strict=True)), index=pandas.Index(self.time, name="time [s]")
         )

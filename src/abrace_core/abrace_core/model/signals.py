@@ -86,6 +86,19 @@ def channel_names(floors: int, braces: Sequence[int]) -> tuple[str, ...]:
     return (*response_names(floors, len(braces))[: -len(braces) or None], *load_cell_names(braces), GROUND)
 
 
+def recorded_names(floors: int, braces: Sequence[int], without: Collection[str]) -> tuple[str, ...]:
+    """The `response_names` of a rig that has no sensor for the channels `without`.
+
+    A group's force is recorded if one of its load cells is there.
+
+    >>> recorded_names(2, [2], ["x1", "xf", "a2", "fb"]), recorded_names(1, [1], ["f"])
+    (('x2', 'a1', 'f'), ('x1', 'xf', 'a1'))
+    """
+    names, cells = response_names(floors, len(braces)), iter(load_cell_names(braces))
+    of_group = {name: [next(cells) for _ in range(count)] for name, count in zip(numbered("f", len(braces)), braces, strict=True)}
+    return tuple(name for name in names if not {*of_group.get(name, [name])} <= {*without})
+
+
 def command_names(groups: int) -> tuple[str, ...]:
     """Names of the commands U, one for each of `groups` brace groups."""
     return numbered("U", groups)
@@ -189,7 +202,8 @@ def require_finite(number: int, values: Sequence[float], names: Sequence[str], u
         return
     for name, value in zip(names, values, strict=True):
         if name in used and not math.isfinite(value):
-            raise AbraceError(f"{field_of(name)} of sample {number} is {value:g}, expected a finite number")
+            hint = " (nan: no such sensor, or it fails)" if math.isnan(value) else ""
+            raise AbraceError(f"{field_of(name)} of sample {number} is {value:g}, expected a finite number{hint}")
 
 
 def unit_of_field(name: str) -> str:

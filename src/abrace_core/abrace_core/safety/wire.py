@@ -133,7 +133,7 @@ class Head(NamedTuple):
 
 
 class Responses:
-    """Packs and unpacks Response messages; a reader learns the rig's size from the first one."""
+    """Packs and unpacks Response messages; a reader learns the rig's size and sensors from a run's first one."""
 
     _HEAD = "QQQIB3x"
     _FRAME = b"table\0"
@@ -144,6 +144,8 @@ class Responses:
     _counted: tuple[Any, ...] = ()
     _motion = slice(0), slice(0), slice(0)
     _cells: Sequence[tuple[int, int]] = ()
+    _measured_cells: Sequence[Sequence[int]] = ()
+    """Of each group, where a load cell of the rig is missing."""
     floors = groups = 0
     table_displacement = math.nan
     """Of the Response that was unpacked last [m]; NaN: unknown."""
@@ -182,7 +184,7 @@ class Responses:
     def unpack(self, payload: bytes) -> tuple[int, Head, tuple[float, ...]]:
         """Stamp [ns], head, and z = [displacement, stroke, acceleration, force] of a `payload`.
 
-        The force is the mean of each group's braces.
+        The force is the mean of each group's load cells; NaN is what has no sensor.
 
         Raises
         ------
@@ -197,7 +199,10 @@ class Responses:
             self._learn(payload)
             return self.unpack(payload)
         self.table_displacement = values[-1]
-        force = tuple([sum(values[begin:end]) / (end - begin) for begin, end in self._cells])
+        if self._measured_cells:
+            force = tuple([_mean([values[i] for i in cells]) for cells in self._measured_cells])
+        else:
+            force = tuple([sum(values[begin:end]) / (end - begin) for begin, end in self._cells])
         x, s, a = self._motion
         return values[1] * 10**9 + values[2], Head._make(values[5:10]), values[x] + values[s] + values[a] + force
 
@@ -240,18 +245,25 @@ class Responses:
         (frame,) = struct.unpack_from("<I", payload, _HEADER.size - 4)
         layout = self._layout = _Layout(frame, numbers, lengths, 2)
         x, a, s, f, _ = layout.starts
-        counted = [0, 3, *range(10, x), *layout.starts]
+        values = layout.struct.unpack_from(payload)
+        counted = [0, 3, 6, *range(10, x), *layout.starts]
         self._counts = itemgetter(*counted)
-        self._counted = (LITTLE_ENDIAN, frame, groups, *braces, *lengths)
+        self._counted = (LITTLE_ENDIAN, frame, values[6], groups, *braces, *lengths)
         self._motion = slice(x + 1, x + 1 + floors), slice(s + 1, s + 1 + groups), slice(a + 1, a + 1 + floors)
         ends = [f + 1 + end for end in accumulate(braces)]
         self._cells = list(zip([f + 1, *ends], ends, strict=False))
+        measured = [[i for i in range(*edges) if not math.isnan(values[i])] for edges in self._cells]
+        self._measured_cells = measured if sum(map(len, measured)) < forces else ()
         return layout
 
     @classmethod
     def _numbers(cls, groups: int) -> str:
         """Format of the head and the number of braces in each group, up to the next 4-byte field."""
         return f"{cls._HEAD}I{groups}B{-groups % 4}x"
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values) if values else math.nan
 
 
 class BraceCommands:

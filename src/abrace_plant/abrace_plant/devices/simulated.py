@@ -56,7 +56,7 @@ class SimulatedRig:
         self._period, self._names = 1 / rig.sample_rate, rig.channel_names
         self._motion = RigMotion(rig)
         self._measurement = Measurement(rig.channel_sensors, seed, self._period)
-        self._measured_outputs = rig.measured_outputs
+        self._measured_outputs, self._of_structure = rig.measured_outputs, len(rig.measured_outputs)
         self._true = np.zeros(len(rig.channel_names))
         self._table = TableState(self._period, table_displacement)
         self._zero = [0.0] * rig.groups
@@ -98,11 +98,11 @@ class SimulatedRig:
         if wanted is not Wanted.FOLLOW or not self._armed:
             command, table = self._zero, 0.0
         for _ in range(1 + missed):
-            self._true[:-1] = self._motion.outputs(table, np.asarray(command))[self._measured_outputs]
+            self._true[: self._of_structure] = self._motion.outputs(table, np.asarray(command))[self._measured_outputs]
             self._table.update(table)
         self._samples += 1 + missed
         self.next_stamp = self._begin + round(self._samples * self._period * 1e9)
-        self._true[-1] = self._motion.ground_acceleration
+        self._true[self._of_structure :] = self._motion.ground_acceleration
         values = self._measurement.read(self._true)
         target = TargetStatus(self._armed, self._last_arm, "", [*command, table], self._table.displacement)
         return Reading(values, stamp, 0, missed, target, age)

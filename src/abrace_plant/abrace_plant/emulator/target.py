@@ -132,8 +132,9 @@ class Target:
     def _move(self) -> NDArray[np.float64]:
         """The readings at this tick, after one with the outputs that act."""
         applied = self.outputs.applied
-        self._true[:-1] = self._motion.outputs(float(applied[-1]), applied[:-1])[self._measured_outputs]
-        self._true[-1] = before = self._motion.ground_acceleration
+        of_structure = len(self._measured_outputs)
+        self._true[:of_structure] = self._motion.outputs(float(applied[-1]), applied[:-1])[self._measured_outputs]
+        self._true[of_structure:] = before = self._motion.ground_acceleration
         self.displacement += self.period * (self._velocity + self.period / 6 * (2 * self._ground + before))
         self._velocity += self.period / 2 * (self._ground + before)
         self._ground = before

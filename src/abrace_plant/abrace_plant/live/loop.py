@@ -57,7 +57,7 @@ class Sample(NamedTuple):
     cause
         Of the fault or stop; empty: none.
     reading
-        (channels,) [displacements, strokes, accelerations, forces, ground acceleration], as measured.
+        (channels,) as measured, in the order of `Rig.channel_names`.
     command
         (groups,) [N], in effect until this sample.
     table
@@ -197,9 +197,9 @@ class RigLoop:
         self._braces, self._table = braces, table
         self._table_driven = rig.table_driven
         self.interlocks = Interlocks(rig)
-        self._rest = RestCheck(rig, self.interlocks.table["force_error"])
+        self._rest = RestCheck(rig, self.interlocks.table.get("force_error"))
         self._over_range = OverRange(rig.channel_sensors)
-        self._names = rig.channel_names
+        self._names, self._bits = rig.channel_names, rig.bits_in_message
         self.clipped = dict.fromkeys(self._names, 0)
         self._watched = safety.acting
         self._inputs = {COMMAND: _Input(COMMAND, timeout), GROUND: _Input(GROUND, timeout)}
@@ -400,7 +400,8 @@ class RigLoop:
         if self._is_over and not any(self._until_now):
             flags |= LAST
             self.ended = True
-        head = Head(self.sequence, self.run, clipped & MESSAGE_BITS, flags, safety.state)
+        bits = self._bits(clipped) & MESSAGE_BITS if clipped else 0
+        head = Head(self.sequence, self.run, bits, flags, safety.state)
         return Sample(reading.stamp, head, safety.cause, reading.values.tolist(), self._until_now, self._table_place)
 
     @property

@@ -39,13 +39,17 @@ class RestCheck:
     rig
         The rig.
     force_error
-        Its interlock of that name.
+        Its interlock of that name; None: there is no load cell, and only the table's rest is known.
     """
 
-    def __init__(self, rig: Rig, force_error: Interlock) -> None:
-        self._limits = cell_limits(rig, force_error, 0.0)
-        held = replace(force_error, value=HELD * max(rig.capacity, default=0.0))
-        self._held = cell_limits(rig, held, rig.sensors.force.noise)
+    def __init__(self, rig: Rig, force_error: Interlock | None) -> None:
+        self._limits, self._held = dict[str, float](), dict[str, float]()
+        if force_error and rig.sensors.force:
+            self._limits = cell_limits(rig, force_error, 0.0)
+            held = replace(force_error, value=HELD * max(rig.capacity, default=0.0))
+            self._held = cell_limits(rig, held, rig.sensors.force.noise)
+        first = rig.channel_names.index(next(iter(self._limits))) if self._limits else 0
+        self._cells = slice(first, first + len(self._limits))
         self._longest = math.ceil(slowest_period(rig) * rig.sample_rate) if self._held else 0
         self.begin()
         self._driven = rig.table_driven
@@ -68,7 +72,7 @@ class RestCheck:
 
         `commanded`: whether a command that is not zero was in effect.
         """
-        forces = reading.values[-1 - len(self._limits) : -1].tolist()
+        forces = reading.values[self._cells].tolist()
         found = [
             f"{name} {force:.0f} N"
             for (name, limit), force in zip(self._limits.items(), forces, strict=True)

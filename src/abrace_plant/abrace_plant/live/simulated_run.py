@@ -7,11 +7,14 @@ in the graph.
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from abrace_core.model import signals
 from abrace_core.model.run import Run
 from abrace_core.safety.rig_safety import RigSafety
 from abrace_plant.devices.simulated import SimulatedRig
@@ -45,8 +48,8 @@ def simulated_run(
         (samples,) acceleration of the table [m/s^2], commanded in answer to each sample.
     force
         Gives the force of one brace of each group (groups,) [N] in answer to a sample: its number, and
-        [displacements, strokes, accelerations, forces] as measured, a force being the mean of its group's. Samples
-        count from the end of the fade.
+        [displacements, strokes, accelerations, forces] as measured, a force being the mean of its group's, NaN what is
+        not measured. Samples count from the end of the fade.
     seed
         Of the sensors' noise.
     source
@@ -64,15 +67,18 @@ def simulated_run(
     first = loop.until_it_acts()
     braces, others = rig.braces_in_group, 2 * rig.floors + rig.groups
     ends = np.cumsum([others, *braces]).tolist()
-    groups = list(zip(ends, ends[1:], braces, strict=False))
-    outputs, table = np.zeros((len(ground), others + rig.groups)), np.zeros(len(ground))
+    groups = [[i for i in range(*edges) if i in rig.channel_places] for edges in itertools.pairwise(ends)]
+    names, without = signals.response_names(rig.floors, rig.groups), rig.not_measured
+    recorded = [i for i, name in enumerate(names) if name in rig.recorded_names]
+    outputs, table = np.zeros((len(ground), len(recorded))), np.zeros(len(ground))
     command, clipped = np.zeros((len(ground), rig.groups)), np.zeros(len(ground), dtype=np.uint64)
     cause = ""
     for k, acceleration in enumerate(ground.tolist()):
         sample = loop.step() if k else first
-        reading = sample.reading
-        z = reading[:others] + [sum(reading[first:last]) / count for first, last, count in groups]
-        outputs[k], table[k], command[k], clipped[k] = z, reading[-1], sample.command, sample.head.clipped
+        reading = rig.as_in_message(sample.reading)
+        z = reading[:others] + [sum([reading[i] for i in cells]) / len(cells) if cells else math.nan for cells in groups]
+        outputs[k], table[k] = [z[i] for i in recorded], reading[-1]
+        command[k], clipped[k] = sample.command, sample.head.clipped
         cause = cause or sample.cause
         loop.receive_ground_acceleration(sample.stamp, acceleration)
         loop.receive_command(NUMBER, loop.sequence, force(k, z), "")
@@ -84,5 +90,17 @@ def simulated_run(
     }
     stopped = {"stopped": cause} if cause else {}
     sequence = np.arange(len(ground), dtype=np.uint64)
-    size = (rig.floors, rig.groups)
-    return Run(source, 1 / rig.sample_rate, sequence, *size, outputs, table, command, facts | stopped, clipped, braces)
+    return Run(
+        source,
+        1 / rig.sample_rate,
+        sequence,
+        rig.floors,
+        rig.groups,
+        outputs,
+        table,
+        command,
+        facts | stopped,
+        clipped,
+        braces,
+        without=without,
+    )

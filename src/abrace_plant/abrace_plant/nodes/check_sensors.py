@@ -72,14 +72,16 @@ class CheckSensors(AbraceNode):
 
 def recorded_readings(recorded: Run, rig: Rig) -> NDArray[np.float64]:
     """(samples, channels) of a recorded test, with the force of each brace, as a device of the rig gives them."""
-    names = signals.channel_names(recorded.floors, recorded.braces)
+    every = signals.channel_names(recorded.floors, recorded.braces)
+    names = tuple(name for name in every if name not in recorded.without)
     if names != rig.channel_names or recorded.forces is None:
         raise AbraceError(
             f"{recorded.source}: has the channels {', '.join(names)}, expected those of the rig {rig.name}: "
             f"{', '.join(rig.channel_names)}"
         )
-    others = recorded.outputs[:, : recorded.outputs.shape[1] - recorded.groups]
-    return np.column_stack([others, recorded.forces, recorded.ground_acceleration])
+    others = [i for i, name in enumerate(recorded.names) if name[0] != "f"]
+    readings = np.column_stack([recorded.outputs[:, others], recorded.forces, recorded.ground_acceleration])
+    return readings[:, : len(names)]
 
 
 def read_at_rest(device: Device, rig: Rig, samples: int) -> list[Reading]:

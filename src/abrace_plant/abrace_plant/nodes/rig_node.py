@@ -32,6 +32,7 @@ from abrace_plant.devices.device import open_device
 from abrace_plant.live.loop import COMMAND, GROUND, RigLoop, rig_outputs
 from abrace_plant.live.real_time import RealTimeRun
 from abrace_plant.live.rest import slowest_period
+from abrace_plant.rig.detectors import missing_sensors
 from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.interlocks import Interlocks
 from abrace_plant.rig.robot_description import joint_names, urdf
@@ -115,6 +116,8 @@ class RigNode(AbraceLifecycleNode):
         """Load the rig and create the topics."""
         self.refuse_during_run()
         self.rig = self.load()
+        if missing := missing_sensors(self.rig):
+            self.get_logger().warning(f"rig {self.rig.name}: {missing}")
         self.ramp_time = LONGEST + REST_TIME + slowest_period(self.rig)  # after a fault rest is measured, too
         self.safety.configure(rig_outputs(self.rig), 1 / self.rig.sample_rate)
         self.response = self.publish_on(
@@ -131,6 +134,7 @@ class RigNode(AbraceLifecycleNode):
         self.responses, self.commands = Responses(), BraceCommands()
         Interlocks(self.rig)  # loads compiled functions for half a second, before the activation
         self.joints = JointState(name=list(joint_names(self.rig)))
+        self.shown = [i for i in range(self.rig.floors) if f"x{i + 1}" in self.rig.channel_names]
 
     def activate(self) -> None:
         """Begin a run at sample 0, from rest."""
@@ -248,7 +252,7 @@ class RigNode(AbraceLifecycleNode):
         """Publish a sample, report a fault that is new, and end the run after its last one."""
         if not self.configured:
             return  # the device has answered after the clean-up, which has destroyed the topics
-        rig, reading = self.rig, sample.reading
+        rig, reading = self.rig, self.rig.as_in_message(sample.reading)
         floors, groups = rig.floors, rig.groups
         self.send(
             self.responses.pack(
@@ -270,7 +274,7 @@ class RigNode(AbraceLifecycleNode):
         if now >= self.next_display:
             self.next_display = now + DISPLAY_PERIOD
             stamp = Time(sec=sample.stamp // 10**9, nanosec=sample.stamp % 10**9)
-            self.defer(lambda: self.show(stamp, reading[:floors]))
+            self.defer(lambda: self.show(stamp, [reading[i] for i in self.shown]))
         # the last one itself may have been missed
         if 0 <= self.last_sequence <= sample.head.sequence and not self.lockstep:
             assert self.loop is not None
@@ -360,7 +364,7 @@ class RigNode(AbraceLifecycleNode):
             values |= {f"clipped {name}": count for name, count in self.loop.clipped.items() if count}
             utilisation, greatest = self.loop.interlocks.utilisation(), self.loop.interlocks.greatest()
             values |= {f"interlock {name}": f"{100 * share:.0f} % of its limit" for name, share in utilisation.items()}
-            values |= {f"peak {name}": f"{greatest[name]:.4g}" for name in PEAKS}
+            values |= {f"peak {name}": f"{greatest[name]:.4g}" for name in PEAKS if name in greatest}
             if warnings := self.loop.interlocks.warnings:
                 values["warning"] = "; ".join(map(str, warnings))
         return fault, self.safety.state.words if self.active else "not active", values

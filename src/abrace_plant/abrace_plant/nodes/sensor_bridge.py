@@ -21,6 +21,7 @@ from abrace_plant.devices.file import load_device
 from abrace_plant.devices.zeroing import Zeroing, check_names
 from abrace_plant.live.loop import Sample
 from abrace_plant.nodes.rig_node import STOP_PERIOD, RigNode, time_limits
+from abrace_plant.rig.detectors import cells_missing
 from abrace_plant.rig.model import Rig
 
 PARAMETERS = [
@@ -56,6 +57,11 @@ class SensorBridge(RigNode):
     def load(self) -> Rig:
         """The rig, and the device file checked against it."""
         rig = super().load()
+        if cells := cells_missing(rig):
+            raise AbraceError(
+                f"rig {rig.name}: no load cell {', '.join(cells)}: rest cannot be measured, expected one in each brace of "
+                "real hardware (sensors.force)"
+            )
         self.path = find_file(self.parameters.device, "abrace_plant", "config/devices", ".yaml", "device")
         self.device = load_device(self.path, rig)
         check_names(rig.channel_names, self.parameters.zero_channels)

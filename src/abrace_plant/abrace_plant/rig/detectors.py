@@ -23,6 +23,7 @@ dead, reversed, swapped with another or wrongly calibrated is not.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -32,6 +33,7 @@ from abrace_core.model import signals
 from abrace_core.model.discretization import discretize
 from abrace_core.model.linear_model import LinearModel
 from abrace_plant.rig.limits import frequencies
+from abrace_plant.rig.sensors import KINDS, Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -82,60 +84,70 @@ class Detectors(NamedTuple):
 
 
 def detectors(rig: Rig) -> Detectors:
-    """The detectors of a rig; a disconnected brace group has none."""
+    """The detectors of a rig; a disconnected brace group has none, nor has what is not measured."""
     n, m, period = rig.floors, rig.groups, 1 / rig.sample_rate
     channels = rig.channel_names
     inputs = len(channels) + m + 2
     unit = np.eye(inputs)
-    x, stroke, a, force = (unit[first:] for first in (0, n, n + m, 2 * n + m))
-    ground, command = unit[len(channels) - 1], unit[len(channels) :]
+    measured = dict(zip(channels, unit, strict=False))
+    x, a = (
+        {i: measured[name] for i in range(n) if (name := f"{letter}{i + 1}") in measured} for letter in ("x", "a")
+    )
+    x_of = {0: np.zeros(inputs), **{i + 1: row for i, row in x.items()}}  # by the floor's number, 0 the table
+    command = unit[len(channels) :]
     rows: list[tuple[Quantity, Matrices, NDArray[np.float64]]] = []
 
     def watch(quantity: Quantity, factors: NDArray[np.float64], filtered: Matrices = UNFILTERED) -> None:
         """Add the output of a discrete filter whose inputs are sums of inputs, by their `factors`."""
         rows.append((quantity, filtered, np.atleast_2d(factors)))
 
-    for i in range(n):
-        below = x[i - 1] if i else np.zeros(inputs)
-        watch(Quantity("drift", f"x{i + 1}", f"interstorey drift of storey {i + 1}"), x[i] - below)
-    for i in range(n):
+    for i in x:
+        if i in x_of:
+            watch(Quantity("drift", f"x{i + 1}", f"interstorey drift of storey {i + 1}"), x[i] - x_of[i])
+    for i in x:
         watch(Quantity("displacement", f"x{i + 1}", f"displacement x{i + 1}"), x[i])
     cutoff = 2 * np.pi * min(VELOCITY_CUTOFF, rig.sample_rate / 5)
     derivative = _bilinear(_second_order(cutoff, (0.0, cutoff**2, 0.0)), period)
-    for i in range(n):
+    for i in x:
         watch(Quantity("velocity", f"x{i + 1}", f"velocity of floor {i + 1}"), x[i], derivative)
     connected = [j for j in range(m) if rig.braces[j].connected]
-    strokes = channels[n : n + m]
+    strokes = {j: name for j in connected if (name := signals.numbered("xf", m)[j]) in measured}
     groups = np.repeat(np.arange(m), rig.braces_in_group).tolist()
-    cells = [(channels[2 * n + m + k], force[k], j) for k, j in enumerate(groups) if rig.braces[j].connected]
-    for j in connected:
-        watch(Quantity("stroke", strokes[j], f"stroke {strokes[j]}"), stroke[j])
-    for i in range(n):
+    cells = [
+        (name, measured[name], j)
+        for name, j in zip(signals.load_cell_names(rig.braces_in_group), groups, strict=True)
+        if name in measured and j in connected
+    ]
+    for name in strokes.values():
+        watch(Quantity("stroke", name, f"stroke {name}"), measured[name])
+    for i in a:
         watch(Quantity("acceleration", f"a{i + 1}", f"acceleration a{i + 1}"), a[i])
-    for name, measured, j in cells:
-        watch(Quantity("force", name, f"force {name}"), measured)
+    for name, force, j in cells:
+        watch(Quantity("force", name, f"force {name}"), force)
         error = Quantity("force_error", name, f"force {name} against its command")
         actuator = rig.braces[j].actuator
         lagging = _lag(actuator.lag, actuator.command_delay, period)
-        watch(error, np.vstack([command[j], measured]), lagging)
+        watch(error, np.vstack([command[j], force]), lagging)
     modes = frequencies(rig)
     faster = _bilinear(_second_order(FASTER * modes[-1], (1.0, 0.0, 0.0)), period)
-    for name, measured, _ in cells:
+    for name, force, _ in cells:
         text = f"oscillation of force {name}, rms above {FASTER * modes[-1] / (2 * np.pi):.3g} Hz"
-        watch(Quantity("oscillation", name, text), measured, faster)
+        watch(Quantity("oscillation", name, text), force, faster)
     watch(Quantity("table_displacement", "table", "place where the table would stop"), unit[-2])
     watch(Quantity("table_velocity", "table", "velocity of the table"), unit[-1])
 
     slow, fast = (factor * modes[0] for factor in BAND)
     residual = _bilinear(_residual(slow, fast), period)
-    for i in range(n):
+    for i in [i for i in a if i in x and signals.GROUND in measured]:
         name = f"a{i + 1} against x{i + 1} and {signals.GROUND}"
-        watch(Quantity("implausible_acceleration", f"a{i + 1}", name), np.array([a[i] - ground, x[i]]), residual)
-    for j in connected:
-        group = rig.braces[j]
-        expected = group.cosine * group.direction(n) @ x[:n]
-        name = f"stroke {strokes[j]} against its floor's displacement"
-        watch(Quantity("implausible_stroke", strokes[j], name), stroke[j] - expected)
+        factors = np.array([a[i] - measured[signals.GROUND], x[i]])
+        watch(Quantity("implausible_acceleration", f"a{i + 1}", name), factors, residual)
+    for j, stroke in strokes.items():
+        floor = rig.braces[j].floor
+        if floor in x_of and floor - 1 in x_of:
+            expected = rig.braces[j].cosine * (x_of[floor] - x_of[floor - 1])
+            name = f"stroke {stroke} against its floor's displacement"
+            watch(Quantity("implausible_stroke", stroke, name), measured[stroke] - expected)
     sensors = rig.channel_sensors
     for k, channel in enumerate(channels):
         jump = _second_difference(1 / sensors[k].range)
@@ -154,6 +166,42 @@ def detectors(rig: Rig) -> Detectors:
         noise[quantity.interlock] = max(noise.get(quantity.interlock, 0.0), float(np.sqrt(variance)))
     quantities, settling = tuple(quantity for quantity, _, _ in rows), int(np.ceil(SETTLING / slow / period))
     return Detectors(quantities, step, np.asarray(at_rest, dtype=np.float64), settling, noise)
+
+
+def not_watched(rig: Rig) -> dict[str, tuple[str, ...]]:
+    """By interlock, the channels of a `rig` that it would watch if every channel were measured, and does not."""
+    if not rig.not_measured:
+        return {}
+    any_sensor = Sensor(1.0, 0.0, 16)
+    kinds = {kind: getattr(rig.sensors, kind) or any_sensor for kind in KINDS}
+    complete = replace(rig, sensors=replace(rig.sensors, **kinds, without=frozenset()))
+    watched = {one[:2] for one in detectors(rig).quantities}
+    found: dict[str, tuple[str, ...]] = {}
+    for interlock, channel, _ in detectors(complete).quantities:
+        if (interlock, channel) not in watched and interlock != "noisy":
+            found[interlock] = (*found.get(interlock, ()), channel)
+    return found
+
+
+def missing_sensors(rig: Rig) -> str:
+    """What is not measured of a `rig`, and therefore not watched, in a sentence; empty: all is measured."""
+    if not rig.not_measured:
+        return ""
+    watched = {one.interlock for one in detectors(rig).quantities}
+    without = [
+        f"{interlock} of {', '.join(channels)}" if interlock in watched else interlock
+        for interlock, channels in not_watched(rig).items()
+    ]
+    sentence = f"not measured: {', '.join(rig.not_measured)}"
+    sentence += f"; interlocks that do not watch: {', '.join(without)}" if without else ""
+    if cells := cells_missing(rig):
+        sentence += f"; no load cell {', '.join(cells)}: rest cannot be measured there"
+    return sentence
+
+
+def cells_missing(rig: Rig) -> list[str]:
+    """Load cells of a `rig` that are not there."""
+    return [name for name in signals.load_cell_names(rig.braces_in_group) if name in rig.not_measured]
 
 
 def _second_order(frequency: float, *numerators: Sequence[float]) -> Matrices:

@@ -13,6 +13,7 @@ import pydantic
 from abrace_core import AbraceError
 from abrace_core.files.config_file import Checked, read_config
 from abrace_core.files.quantity import Quantity
+from abrace_core.model import signals
 from abrace_plant.rig.actuator import Actuator
 from abrace_plant.rig.building_file import BuildingContent, read_building
 from abrace_plant.rig.checks import (
@@ -35,11 +36,11 @@ from abrace_plant.rig.detectors import detectors
 from abrace_plant.rig.limits import check_limits, frequencies
 from abrace_plant.rig.model import BraceGroup, Interlock, LocalMode, Rig
 from abrace_plant.rig.ranges import check_ranges
-from abrace_plant.rig.sensors import AntiAlias, Sensor, SensorSet
+from abrace_plant.rig.sensors import KINDS, AntiAlias, Sensor, SensorSet
 from abrace_plant.rig.table_file import TableContent
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 
 class _BraceGroup(Checked):
@@ -55,6 +56,7 @@ class _Sensor(Checked):
     bits: Annotated[int, pydantic.Field(ge=2, le=32)]
     hum_frequency: Annotated[float, pydantic.Field(ge=45, le=65), Quantity("Hz")] = 60.0
     bandwidth: Hertz = np.inf
+    channels: Annotated[list[str], pydantic.Field(min_length=1)] | None = None
 
 
 class _LengthSensor(_Sensor):
@@ -82,11 +84,11 @@ class _LoadCell(_Sensor):
 
 
 class _Sensors(Checked):
-    displacement: _LengthSensor
-    stroke: _LengthSensor
-    acceleration: _Accelerometer
-    force: _LoadCell
-    ground_acceleration: _Accelerometer
+    displacement: _LengthSensor | None = None
+    stroke: _LengthSensor | None = None
+    acceleration: _Accelerometer | None = None
+    force: _LoadCell | None = None
+    ground_acceleration: _Accelerometer | None = None
     anti_alias: AntiAlias | None = None
     cross_axis: Annotated[float, pydantic.Field(ge=0, le=0.2), Quantity("1")] = 0.0
 
@@ -188,7 +190,7 @@ def _rig(content: _Rig) -> Rig:
         building=building,
         braces=tuple(BraceGroup(**dict(group)) for group in content.braces),
         local_modes=tuple(content.local_modes),
-        sensors=_sensors(content.sensors),
+        sensors=_sensors(content.sensors, floors, [group.count for group in content.braces]),
         storey_height=storey_height,
         interlocks={
             name: Interlock(**{"value": 0.0} | dict(given)) for name, given in content.interlocks if given is not None
@@ -202,9 +204,24 @@ def _rig(content: _Rig) -> Rig:
     return rig
 
 
-def _sensors(sensors: _Sensors) -> SensorSet:
-    kinds = {kind: Sensor(**dict(sensor)) for kind, sensor in sensors if isinstance(sensor, _Sensor)}
-    return SensorSet(**kinds, anti_alias=sensors.anti_alias, cross_axis=sensors.cross_axis)
+def _sensors(sensors: _Sensors, floors: int, braces: Sequence[int]) -> SensorSet:
+    kinds: dict[str, Sensor | None] = dict.fromkeys(KINDS)
+    given = {kind: sensor for kind, sensor in sensors if isinstance(sensor, _Sensor)}
+    expect(bool(given), "sensors", "none", f"one or more of {', '.join(KINDS)}")
+    for kind, sensor in given.items():
+        kinds[kind] = Sensor(**{key: value for key, value in sensor if key != "channels"})
+    names, without = signals.channel_names(floors, braces), set()
+    of_kind = SensorSet(**kinds).channels(floors, len(braces), sum(braces))
+    for kind, sensor in given.items():
+        possible = [name for name, one in zip(names, of_kind, strict=True) if one is kinds[kind]]
+        if sensor.channels is not None:
+            for i, name in enumerate(sensor.channels):
+                known = name in possible and name not in sensor.channels[:i]
+                expect(known, f"sensors.{kind}.channels.{i}", name, f"one of {', '.join(possible)}, each once")
+            without.update(set(possible) - set(sensor.channels))
+    return SensorSet(
+        **kinds, anti_alias=sensors.anti_alias, cross_axis=sensors.cross_axis, without=frozenset(without)
+    )
 
 
 def _expect_fast_enough(rig: Rig) -> None:

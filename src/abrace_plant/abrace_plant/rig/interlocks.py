@@ -121,7 +121,11 @@ class Interlocks:
         repeats = [_repeats(sensor, share) for sensor in sensors] + [_repeats(sensor, 0.0) for sensor in sensors]
         self._needed = np.array(needed)
         self._needed[linear : linear + 2 * count] = np.maximum(needed[linear : linear + 2 * count], repeats)
-        of_cells = {name: cell_limits(rig, self.table[name], found.noise.get(name, 0.0)) for name in FORCES}
+        of_cells = {
+            name: cell_limits(rig, self.table[name], found.noise.get(name, 0.0))
+            for name in FORCES
+            if name in self.table
+        }
         self._limits = np.array(
             [
                 of_cells[each.interlock][each.channel] if each.interlock in FORCES else kind.value

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core import AbraceError
+from abrace_core.model import signals
 from abrace_plant.rig.model import Interlock
 
 if TYPE_CHECKING:
@@ -60,11 +61,14 @@ def limit_table(rig: Rig, noise: Mapping[str, float]) -> dict[str, Interlock]:
     rig
         The rig.
     noise
-        Standard deviation of what each interlock watches, from the sensors' noise alone; of the noisiest channel.
+        Standard deviation of what each interlock watches, from the sensors' noise alone; of the noisiest channel. An
+        interlock that has none because a sensor is missing is left out.
     """
     found = {}
     computed = _values(rig)
     for name, (time, unit) in INTERLOCKS.items():
+        if rig.not_measured and unit and name != "dead" and name not in noise:
+            continue
         value = max(computed[name][0] if unit else 0.0, NOISE_MARGIN * noise.get(name, 0.0))
         found[name] = rig.interlocks.get(name) or Interlock(value, time)
     return found
@@ -83,7 +87,7 @@ def check_limits(rig: Rig, noise: Mapping[str, float]) -> None:
     computed = _values(rig)
     for name, interlock in rig.interlocks.items():
         _, unit = INTERLOCKS[name]
-        if not unit:
+        if not unit or name not in computed:
             continue
         _, most, what = computed[name]
         key, least = f"interlocks.{name}.value: {interlock.value:g} {unit}", NOISE_MARGIN * noise.get(name, 0.0)
@@ -107,9 +111,11 @@ def group_limits(rig: Rig, interlock: Interlock, noise: float) -> NDArray[np.flo
 
 def cell_limits(rig: Rig, interlock: Interlock, noise: float) -> dict[str, float]:
     """By load cell, the `group_limits` of a `rig` for an `interlock` and `noise` [N]."""
-    cells = rig.channel_names[2 * rig.floors + rig.groups : -1]
+    cells = signals.load_cell_names(rig.braces_in_group)
     limits = np.repeat(group_limits(rig, interlock, noise), rig.braces_in_group)
-    return dict(zip(cells, limits.tolist(), strict=True))
+    return {
+        name: limit for name, limit in zip(cells, limits.tolist(), strict=True) if name in rig.channel_names
+    }
 
 
 def frequencies(rig: Rig) -> NDArray[np.float64]:
@@ -122,35 +128,45 @@ def frequencies(rig: Rig) -> NDArray[np.float64]:
 
 
 def _values(rig: Rig) -> dict[str, tuple[float, float, str]]:
-    """Of each interlock with a value: that computed of the rig's numbers; the least that could never act, and why."""
+    """Of each interlock with a value: that computed of the rig's numbers; the least that could never act, and why.
+
+    Those of sensors that the rig does not have are left out.
+    """
     sensors, table = rig.sensors, rig.table
     capacity = max((group.actuator.capacity for group in rig.braces), default=0.0)
     stops = min((group.actuator.stroke_limit for group in rig.braces), default=np.inf)
-    end = sensors.displacement.range
-    displacement, most_force = 0.9 * end, capacity or np.inf
-    drift = min(YIELD_DRIFT * float(rig.storey_heights.min()), displacement)
-    given = rig.interlocks.get("displacement")
-    # the first mode's velocity at the greatest displacement, plus a quarter for the other modes
-    velocity = 1.25 * float(frequencies(rig)[0]) * (given.value if given else displacement)
+    most_force = capacity or np.inf
     # those of a sinusoid of the table's greatest acceleration at 1 Hz, but not beyond what the table has
     path = min(table.peak_acceleration / (2 * np.pi) ** 2, table.peak_displacement)
     speed = min(table.peak_acceleration / (2 * np.pi), table.peak_velocity)
     of_range = "the sensors' range"
-    stroke = min((sensors.stroke.range, of_range), (stops, "the actuators' stroke_limit"))
-    return {
-        "drift": (drift, end, "the displacement sensors' range"),
-        "displacement": (displacement, end, of_range),
-        "velocity": (velocity, end * 100, "the displacement sensors' range within 10 ms"),
-        "stroke": (0.9 * stroke[0], *stroke),
-        "acceleration": (0.95 * sensors.acceleration.range, sensors.acceleration.range, of_range),
-        # a command at the capacity is not a fault: a force above it comes from the stops, or from a faulty load cell
-        "force": (min(1.08 * capacity, 0.95 * sensors.force.range), sensors.force.range, of_range),
-        "force_error": (0.25 * capacity, 2 * most_force, "twice the capacity"),
-        "oscillation": (0.25 * capacity, most_force, "the capacity"),
+    found = {
         "table_displacement": (path, table.peak_displacement, "table.peak_displacement"),
         "table_velocity": (speed, table.peak_velocity, "table.peak_velocity"),
-        "implausible_acceleration": (0.05 * sensors.acceleration.range, sensors.acceleration.range, of_range),
-        "implausible_stroke": (0.05 * sensors.stroke.range, sensors.stroke.range, of_range),
         "noisy": (0.1, 1.0, of_range),
         "dead": (0.25, 1.0, "the noise itself"),
     }
+    if sensors.displacement:
+        end = sensors.displacement.range
+        displacement = 0.9 * end
+        drift = min(YIELD_DRIFT * float(rig.storey_heights.min()), displacement)
+        given = rig.interlocks.get("displacement")
+        # the first mode's velocity at the greatest displacement, plus a quarter for the other modes
+        velocity = 1.25 * float(frequencies(rig)[0]) * (given.value if given else displacement)
+        found["drift"] = drift, end, "the displacement sensors' range"
+        found["displacement"] = displacement, end, of_range
+        found["velocity"] = velocity, end * 100, "the displacement sensors' range within 10 ms"
+    if sensors.stroke:
+        stroke = min((sensors.stroke.range, of_range), (stops, "the actuators' stroke_limit"))
+        found["stroke"] = 0.9 * stroke[0], *stroke
+        found["implausible_stroke"] = 0.05 * sensors.stroke.range, sensors.stroke.range, of_range
+    if sensors.acceleration:
+        most = sensors.acceleration.range
+        found["acceleration"] = 0.95 * most, most, of_range
+        found["implausible_acceleration"] = 0.05 * most, most, of_range
+    if sensors.force:
+        # a command at the capacity is not a fault: a force above it comes from the stops, or from a faulty load cell
+        found["force"] = min(1.08 * capacity, 0.95 * sensors.force.range), sensors.force.range, of_range
+        found["force_error"] = 0.25 * capacity, 2 * most_force, "twice the capacity"
+        found["oscillation"] = 0.25 * capacity, most_force, "the capacity"
+    return found

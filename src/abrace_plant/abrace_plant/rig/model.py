@@ -11,6 +11,7 @@ the local modes. The stiffeners act on the floors directly: a brace's load cell 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -188,21 +189,71 @@ class Rig:
         return tuple(group.count for group in self.braces)
 
     @cached_property
+    def _channels(self) -> list[tuple[int, str, Sensor]]:
+        """Place among `signals.channel_names`, name and sensor of each channel that is measured."""
+        names = signals.channel_names(self.floors, self.braces_in_group)
+        sensors = self.sensors.channels(self.floors, self.groups, sum(self.braces_in_group))
+        return [
+            (place, name, sensor)
+            for place, (name, sensor) in enumerate(zip(names, sensors, strict=True))
+            if sensor is not None and name not in self.sensors.without
+        ]
+
+    @cached_property
     def channel_names(self) -> tuple[str, ...]:
-        """(channels,) as `signals.channel_names` has them."""
-        return signals.channel_names(self.floors, self.braces_in_group)
+        """(channels,) in the order of `signals.channel_names`, without those that have no sensor."""
+        return tuple(name for _, name, _ in self._channels)
 
     @cached_property
     def channel_sensors(self) -> list[Sensor]:
         """(channels,)."""
-        return self.sensors.channels(self.floors, self.groups, sum(self.braces_in_group))
+        return [sensor for *_, sensor in self._channels]
+
+    @cached_property
+    def channel_places(self) -> list[int]:
+        """(channels,) the place of each channel among `signals.channel_names`."""
+        return [place for place, *_ in self._channels]
+
+    @cached_property
+    def not_measured(self) -> tuple[str, ...]:
+        """Those of `signals.channel_names` that have no sensor."""
+        return tuple(
+            name for name in signals.channel_names(self.floors, self.braces_in_group) if name not in self.channel_names
+        )
+
+    @cached_property
+    def recorded_names(self) -> tuple[str, ...]:
+        """As `signals.recorded_names`."""
+        return signals.recorded_names(self.floors, self.braces_in_group, self.not_measured)
+
+    def as_in_message(self, reading: list[float]) -> list[float]:
+        """A `reading` (channels,) with an entry for each of `signals.channel_names`, NaN for what is not measured."""
+        if not self.not_measured:
+            return reading
+        every = [math.nan] * (len(reading) + len(self.not_measured))
+        for place, value in zip(self.channel_places, reading, strict=True):
+            every[place] = value
+        return every
+
+    def bits_in_message(self, clipped: int) -> int:
+        """The bits of channels, bit i that of `channel_names[i]`, as bits of `signals.channel_names`."""
+        if not self.not_measured:
+            return clipped
+        return sum((clipped >> i & 1) << place for i, place in enumerate(self.channel_places))
 
     @cached_property
     def measured_outputs(self) -> NDArray[np.intp]:
-        """(channels - 1,) which of the outputs z each channel measures; the last channel measures the table."""
+        """(channels of the structure,) which of the outputs z each channel measures; the table's, if any, is the last.
+        """
         others = 2 * self.floors + self.groups
-        groups = np.repeat(np.arange(self.groups), self.braces_in_group)
-        return np.concatenate([np.arange(others), others + groups])
+        groups = others + np.repeat(np.arange(self.groups), self.braces_in_group)
+        every = np.concatenate([np.arange(others), groups])
+        return every[[place for place in self.channel_places if place < len(every)]].astype(np.intp)
+
+    def readings_of(self, outputs: NDArray[np.float64], ground: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(samples, channels) what exact sensors read of `outputs` z (samples, outputs) and the table (samples,)."""
+        every = np.column_stack([outputs[:, self.measured_outputs], ground])
+        return every[:, : len(self.channel_names)]
 
     @property
     def capacity(self) -> NDArray[np.float64]:
@@ -293,6 +344,11 @@ class Rig:
         delay = (0.0, *(group.actuator.command_delay for group in self.braces))
         of_rig = {"rig": self.name, "sample_period": 1 / self.sample_rate, "force_limit": self.capacity.tolist()}
         return LinearModel(a, b, c, d, inputs, outputs, input_delay=delay, provenance=of_rig)
+
+    @property
+    def measured_model(self) -> LinearModel:
+        """The `model` with the outputs that are measured alone, as one that is identified on the rig."""
+        return self.model.select([name for name in self.model.outputs if name in self.recorded_names])
 
     def discrete_model(self) -> LinearModel:
         """The exact discrete model at the rig's sample rate: commands held, ground acceleration linear in between."""

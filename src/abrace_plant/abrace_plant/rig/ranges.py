@@ -182,6 +182,8 @@ def _sensors(rig: Rig) -> Iterator[Range]:
         ("ground_acceleration", "table.peak_acceleration", peak, 0.03, 10.0),
     ):
         sensor, key = getattr(rig.sensors, kind), f"sensors.{kind}"
+        if sensor is None:
+            continue
         yield Range(f"{key}.range", f"{{}} times {words}", sensor.range / scale, least, most)
         for error, share in (("noise", 0.2), ("bias", 0.5), ("drift", 0.1), ("hum", 0.2)):
             yield Range(f"{key}.{error}", "{} times the range", abs(getattr(sensor, error)) / sensor.range, 0.0, share)

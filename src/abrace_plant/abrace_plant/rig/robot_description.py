@@ -17,25 +17,31 @@ PLATE = (4.5, 3.0, 0.2)
 """Length, width and thickness of a floor as drawn [m]; the plan is that of the paper's building."""
 TABLE = (5.0, 5.0, 0.4)
 """The same of the shake table."""
+DRAWN = 0.05
+"""Share of a storey's height."""
 FLOOR_COLOUR, TABLE_COLOUR = "0.55 0.65 0.75 1", "0.35 0.35 0.35 1"
 
 
 def joint_names(rig: Rig) -> tuple[str, ...]:
-    """Names of the joints in JointState messages, floor 1 first.
+    """Names of the joints in JointState messages, of each floor whose displacement is measured, the lowest first.
 
     Parameters
     ----------
     rig
         The rig to draw.
     """
-    return tuple(f"floor_{i + 1}" for i in range(rig.floors))
+    return tuple(_joint(i) for i in range(1, rig.floors + 1) if f"x{i}" in rig.channel_names)
+
+
+def _joint(floor: int) -> str:
+    return f"floor_{floor}"
 
 
 def urdf(rig: Rig) -> str:
     """The rig as URDF.
 
-    The links are `table` (the root, at its top) and `floor_1_link`, `floor_2_link`, ...; the joints are those of
-    `joint_names`, limited to the range of the displacement sensors.
+    The links are `table` (the root, at its top) and `floor_1_link`, `floor_2_link`, ...; the joints are `floor_1`,
+    `floor_2`, ..., limited to the range of the displacement sensors, or to DRAWN of the storey's height without any.
 
     Parameters
     ----------
@@ -50,10 +56,12 @@ def urdf(rig: Rig) -> str:
     robot = ElementTree.Element("robot", name=rig.name)
     table = ElementTree.SubElement(robot, "link", name="table")
     _box(table, TABLE, -TABLE[2] / 2, TABLE_COLOUR)
-    reach = rig.sensors.displacement.range
+    sensor = rig.sensors.displacement
+    reach = sensor.range if sensor else DRAWN * rig.storey_height
     frequencies, _ = rig.building.modes()
     limit = {"lower": f"{-reach:g}", "upper": f"{reach:g}", "effort": "0", "velocity": f"{reach * frequencies[-1]:g}"}
-    for i, name in enumerate(joint_names(rig)):
+    for i in range(rig.floors):
+        name = _joint(i + 1)
         link = ElementTree.SubElement(robot, "link", name=f"{name}_link")
         _box(link, PLATE, 0.0, FLOOR_COLOUR)
         joint = ElementTree.SubElement(robot, "joint", name=name, type="prismatic")

@@ -67,7 +67,7 @@ def filter_responses(rig: Rig, span: float) -> NDArray[np.float64]:
     of all channels; where it is 0 there are no channels.
     """
     sensors = rig.sensors.channels(rig.floors, rig.groups, rig.groups)
-    systems = [low_pass(sections(sensor, rig.sensors.anti_alias)) for sensor in sensors]
+    systems = [low_pass(sections(sensor, rig.sensors.anti_alias) if sensor else []) for sensor in sensors]
     most = max(len(b) for _, b in systems)
     responses = np.zeros((len(systems) if most else 0, most + 1, most + 2))
     for response, (a, b) in zip(responses, systems, strict=False):

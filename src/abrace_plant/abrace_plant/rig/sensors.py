@@ -113,6 +113,10 @@ class AntiAlias:
     order: Annotated[int, pydantic.Field(ge=1, le=10)]
 
 
+KINDS = ("displacement", "stroke", "acceleration", "force", "ground_acceleration")
+"""Of sensors."""
+
+
 @dataclass(frozen=True)
 class SensorSet:
     """The sensor of each kind of quantity.
@@ -120,23 +124,26 @@ class SensorSet:
     Parameters
     ----------
     displacement, stroke, acceleration, force, ground_acceleration
-        The sensors.
+        The sensors; None: there are none of that kind.
     anti_alias
         The filter in front of every converter; None: none.
     cross_axis
         Share of an acceleration across its axis that an accelerometer of a floor reads as one along it.
+    without
+        Names of channels without a sensor, of a kind that others have.
     """
 
-    displacement: Sensor
-    stroke: Sensor
-    acceleration: Sensor
-    force: Sensor
-    ground_acceleration: Sensor
+    displacement: Sensor | None
+    stroke: Sensor | None
+    acceleration: Sensor | None
+    force: Sensor | None
+    ground_acceleration: Sensor | None
     anti_alias: AntiAlias | None = None
     cross_axis: float = 0.0
+    without: frozenset[str] = frozenset()
 
-    def channels(self, floors: int, groups: int, braces: int) -> list[Sensor]:
-        """One sensor a channel of a rig of `floors` floors and `braces` braces in `groups` groups.
+    def channels(self, floors: int, groups: int, braces: int) -> list[Sensor | None]:
+        """The kind of sensor of each channel of a rig of `floors` floors and `braces` braces in `groups` groups.
 
         In the order displacements, strokes, absolute accelerations, load cells, the table's acceleration.
         """

@@ -91,15 +91,16 @@ class ValidateNode(AbraceNode):
         write_json(output / "comparison.json", content)
         if given.model:
             telling = signals.most_telling(shown.names)
-            motion = test.ground_acceleration if test else shown.measured[:, shown.names.index(telling[0])]
+            with_table = test and signals.GROUND in test.all_names
+            motion = test.ground_acceleration if test and with_table else shown.measured[:, shown.names.index(telling[0])]
             begin = max(shown.time[0], shown.time[np.argmax(np.abs(motion))] - BEFORE)
             zoom = (begin, min(begin + ZOOM, shown.time[-1]))
             drawing = figures.time_histories(shown, telling, zoom, units, _tested(facts))
             save_figure(drawing, output / "figure_6_time_histories.svg")
             _print(comparisons)
         if test and uncontrolled:
-            channels = [f"x{test.floors}", f"a{test.floors}"]
-            drawing = figures.control_effect(uncontrolled, test, channels, units, _tested(facts))
+            of_top = [[name for name in test.names if name[0] == letter and name[1:].isdigit()][-1:] for letter in "xa"]
+            drawing = figures.control_effect(uncontrolled, test, sum(of_top, []), units, _tested(facts))
             save_figure(drawing, output / "uncontrolled_and_controlled.svg")
         print(f"wrote {output}")
         if judged:

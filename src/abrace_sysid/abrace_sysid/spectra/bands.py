@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
+from abrace_core.model import signals
 from abrace_sysid.spectra.fourier import lines_within
 
 if TYPE_CHECKING:
@@ -33,6 +34,9 @@ STEADY, AROUND = 2e-3, 21
 
 SMOOTHED = 9
 """Number of lines over which power is averaged before the slowest resonance is searched."""
+
+HEARD = 10.0
+"""Times the least power in the band at which an acceleration is more than noise."""
 
 
 def excited_band(test: Test, name: str) -> tuple[float, float]:
@@ -104,6 +108,8 @@ def common_band(tests: Sequence[Test], names: Sequence[str]) -> tuple[float, flo
 def slowest_resonance(test: Test, band: tuple[float, float]) -> float:
     """Frequency [Hz] of the greatest displacement spectrum, median over floors (measured data: all outputs).
 
+    Of a rig without displacement sensors it is that of (a - w) / s^2, where this is more than noise.
+
     Parameters
     ----------
     test
@@ -111,9 +117,15 @@ def slowest_resonance(test: Test, band: tuple[float, float]) -> float:
         Lowest and highest frequency [Hz].
     """
     lines, omega = lines_within(test, len(test.outputs), band)
-    floors = [name for name in test.names if name[0] == "x" and name[1:].isdigit()] if test.floors else test.names
-    power = np.abs(test.spectra(floors)[lines]) ** 2
-    smooth = ndimage.uniform_filter1d(power, min(SMOOTHED, len(lines)), axis=0, mode="nearest")
+    of_kind = {kind: [name for name in test.names if name[0] == kind and name[1:].isdigit()] for kind in "xa"}
+    derived = bool(test.floors and of_kind["a"] and not of_kind["x"] and signals.GROUND in test.inputs)
+    chosen = of_kind["a" if derived else "x"] if test.floors else ()
+    spectra = test.spectra(chosen or test.names)[lines]
+    if derived:
+        spectra = spectra - test.spectra([signals.GROUND])[lines]
+    smooth = ndimage.uniform_filter1d(np.abs(spectra) ** 2, min(SMOOTHED, len(lines)), axis=0, mode="nearest")
+    if derived:
+        smooth = np.where(smooth > HEARD * smooth.min(axis=0), smooth, 0.0) / omega[:, None] ** 4
     return float(np.median(omega[np.argmax(smooth, axis=0)])) / (2 * np.pi)
 
 

@@ -18,6 +18,7 @@ from abrace_sysid.models.modal import servo_lags
 from abrace_sysid.recorded.test import given_tests, of_one_rig
 from abrace_sysid.validity import model_findings, rig_findings, sensor_findings
 from abrace_sysid.validity.finding import Finding, Validity, prediction_finding
+from abrace_sysid.validity.kinematics import comparable
 from abrace_sysid.validity.motion import Motion
 from abrace_sysid.validity.residuals import Residual, residual_of, residual_of_data, residual_of_response
 
@@ -150,7 +151,10 @@ def findings_of_tests(
         findings += sensor_findings.saturated(test)
         findings += sensor_findings.spiked(test, [*test.names, signals.GROUND])
         motion = Motion.of(test, options.band_of(test)[1]).without(test.faults)
-        findings += sensor_findings.contradicting(motion, options.table_band)
+        if test.faults or comparable(motion):
+            findings += sensor_findings.contradicting(motion, options.table_band)
+        else:
+            not_checked["sensors agree"] = "no two sensors measure the same"
         motions.append((motion, options.table_band))
     if any(one.cause in sensor_findings.WRONG for one in findings):
         not_checked["friction, backlash"] = "the sensors contradict each other"

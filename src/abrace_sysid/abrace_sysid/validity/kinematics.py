@@ -188,6 +188,15 @@ def contradictions(motion: Motion, lines: NDArray[np.int64], hidden: Collection[
     return {name: value for name, value in found.items() if name not in hidden}
 
 
+def comparable(motion: Motion) -> bool:
+    """Whether a test has sensors that can contradict each other."""
+    floors = [(f"x{floor}" in motion.spectra, f"a{floor}" in motion.spectra) for floor in range(1, motion.floors + 1)]
+    pairs = signals.GROUND in motion.spectra and any(all(both) for both in floors)
+    heights = max(sum(one) for one in zip(*floors, strict=True)) > 1
+    braces = [name for letter in ("xf", "f") for name in signals.numbered(letter, motion.groups)]
+    return pairs or heights or any(name in motion.spectra for name in braces)
+
+
 def _hidden(motion: Motion, lines: NDArray[np.int64]) -> list[str]:
     """What cannot be compared in a test as recorded: floors and strokes that hardly move more than their noise."""
     still = []

@@ -159,7 +159,7 @@ def contradicting(motion: Motion, band: tuple[float, float]) -> list[Finding]:
             )
         )
     if not findings:
-        meaning = "accelerations, displacements, strokes and forces agree"
+        meaning = "no sensor contradicts another"
         findings.append(Finding.of(check, source, worst, limits, meaning, verdict=Verdict.TRUST))
     return findings + _late(found, source)
 

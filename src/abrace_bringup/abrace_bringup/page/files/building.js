@@ -34,12 +34,24 @@ const building = {
 
   now() {
     const [one, next = one] = this.queue;
-    const between = (name) => one[name].map((value, index) => value + this.place * (next[name][index] - value));
+    const between = (name) => one[name].map((value, index) => (value === null ? null : value + this.place * (next[name][index] - value)));
     return { sway: between("sway"), share: between("share") };
   },
 };
 
-function colourOf(share) { // green over yellow at a half to red
+// floors between sensors as on a straight line between their neighbours; those above the highest sensor move with it
+function complete(sway, levels) {
+  return sway.map((value, floor) => {
+    if (value !== null) return value;
+    const below = sway.findLastIndex((one, other) => one !== null && other < floor);
+    const above = sway.findIndex((one, other) => one !== null && other > floor);
+    if (above < 0) return sway[below];
+    return sway[below] + (sway[above] - sway[below]) * (levels[floor] - levels[below]) / (levels[above] - levels[below]);
+  });
+}
+
+function colourOf(share) { // green over yellow at a half to red, grey where no force is measured
+  if (share === null) return "#6b7580";
   return `hsl(${120 * (1 - Math.min(Math.max(share, 0), 1))}, 75%, 38%)`;
 }
 
@@ -53,7 +65,8 @@ function drawBuilding(canvas, rig, times) {
   pen.font = "13px system-ui, sans-serif";
   pen.lineCap = "round";
   const { sway: moved, share } = building.now();
-  const sway = [0, ...moved.map((value) => times * value)], levels = [0, ...rig.heights];
+  const levels = [0, ...rig.heights], measured = [true, ...moved.map((value) => value !== null)];
+  const sway = complete([0, ...moved], levels).map((value) => times * value);
   const unit = Math.min((height - 50) / levels[levels.length - 1], width / 9);
   const at = (x, z) => [width / 2 + unit * x, height - 25 - unit * z];
   const line = (colour, thickness, points) => {
@@ -68,7 +81,7 @@ function drawBuilding(canvas, rig, times) {
     const below = floor - 1, storey = levels[floor] - levels[below];
     const reach = Math.min(storey * cosine / Math.sqrt(Math.max(1 - cosine ** 2, 1e-6)), 2 * HALF_WIDTH) / 2;
     line(colourOf(share[group]), 7, [at(sway[below] - reach, levels[below]), at(sway[floor] + reach, levels[floor])]);
-    const words = `${Math.round(100 * share[group])} %`;
+    const words = share[group] === null ? "" : `${Math.round(100 * share[group])} %`;
     const [x, y] = at((sway[below] + sway[floor]) / 2 + HALF_WIDTH + 0.3, (levels[below] + levels[floor]) / 2);
     pen.fillStyle = "#111";
     pen.fillText(words, Math.min(x, width - pen.measureText(words).width - 4), y);
@@ -79,6 +92,6 @@ function drawBuilding(canvas, rig, times) {
       const parts = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10].map((part) => part / 10);
       line("#6b7580", 3, parts.map((s) => at(side + sway[below] + (sway[floor] - sway[below]) * (3 * s * s - 2 * s * s * s), levels[below] + s * (levels[floor] - levels[below]))));
     }
-    line("#6b7580", 8, [at(sway[floor] - HALF_WIDTH, levels[floor]), at(sway[floor] + HALF_WIDTH, levels[floor])]);
+    line(measured[floor] ? "#6b7580" : "#b8bfc6", 8, [at(sway[floor] - HALF_WIDTH, levels[floor]), at(sway[floor] + HALF_WIDTH, levels[floor])]);
   }
 }

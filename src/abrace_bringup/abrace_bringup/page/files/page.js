@@ -325,9 +325,9 @@ function trace(given) {
 // a bin for the building: floors in the middle of their range, braces at their greatest force
 function move(low, high) {
   const of = (name) => rig.channels.indexOf(name);
-  const middle = (column) => ((low[column] ?? 0) + (high[column] ?? 0)) / 2000;
-  const most = (column) => Math.max(Math.abs(low[column] ?? 0), Math.abs(high[column] ?? 0));
-  building.add(rig.heights.map((_, floor) => middle(of(`x${floor + 1}`))), rig.groups.map(({ name, capacity }) => most(of(name)) / capacity));
+  const middle = (column) => (column < 0 ? null : ((low[column] ?? 0) + (high[column] ?? 0)) / 2000);
+  const most = (column) => (column < 0 ? null : Math.max(Math.abs(low[column] ?? 0), Math.abs(high[column] ?? 0)));
+  building.add(rig.heights.map((_, floor) => middle(of(`x${floor + 1}`))), rig.groups.map(({ name, capacity }) => (of(name) < 0 ? null : most(of(name)) / capacity)));
 }
 
 function greatest(values) {
@@ -347,12 +347,13 @@ function present(values) {
 }
 
 function numbers() {
-  const [x, a, f] = ["displacement-trace", "acceleration-trace", "force-trace"].map((id) => charts[id].data.slice(1));
+  const of = (id, name) => charts[id].data[1 + charts[id].columns.indexOf(rig.channels.indexOf(name))];
+  const both = (id, name, digits) => (rig.channels.includes(name) ? [present, greatest].map((each) => each(of(id, name)).toFixed(digits)) : ["", ""]);
   rows("floors", rig.heights.map((_, index) => ({
-    cells: [`floor ${index + 1}`, present(x[index]).toFixed(2), greatest(x[index]).toFixed(2), present(a[index]).toFixed(3), greatest(a[index]).toFixed(3)],
+    cells: [`floor ${index + 1}`, ...both("displacement-trace", `x${index + 1}`, 2), ...both("acceleration-trace", `a${index + 1}`, 3)],
   })).reverse());
-  bars("forces", rig.groups.map(({ name, floor, capacity }, index) => {
-    const force = present(f[index]);
+  bars("forces", rig.groups.filter(({ name }) => rig.channels.includes(name)).map(({ name, floor, capacity }) => {
+    const force = present(of("force-trace", name));
     return { name: `${name}, floor ${floor}`, share: Math.abs(force) / capacity, words: `${force.toFixed(2)} of ${capacity.toFixed(1)} kN` };
   }));
 }
