@@ -294,3 +294,32 @@ def test_a_target_that_stops_by_itself_is_a_latched_fault_and_follows_no_more_by
     report = emulator.report()
     assert report["following"]
     assert report["last_arm"] > before["last_arm"]
+
+
+def test_a_target_with_fewer_sensors_is_driven_and_one_without_load_cells_is_refused(rig, emulate, tmp_path):
+    there = ["a1", "a3", "fa", "fb", "w"]
+    content = yaml.safe_load(Path(rig.slow).read_text())
+    del content["sensors"]["displacement"], content["sensors"]["stroke"]
+    content["sensors"]["acceleration"]["channels"] = ["a1", "a3"]
+    layout = yaml.safe_load((CONFIG / "device_parts/udp_layout.yaml").read_text())
+    for field in layout["sample"]:
+        field["field"] = there if "a1" in field["field"] else field["field"]
+    (tmp_path / "layout.yaml").write_text(yaml.safe_dump(layout, sort_keys=False))
+    device, file = device_file(tmp_path, timeout=0.1, layout=tmp_path / "layout.yaml"), tmp_path / "fewer.yaml"
+    file.write_text(yaml.safe_dump({**content, "sensors": {**content["sensors"], "force": None}}))
+    command = [find_executable("abrace_plant", "sensor_bridge"), "--ros-args", "-p", f"rig:={file}"]
+    command += ["-p", f"device:={device}", "-p", "stop_heartbeat:=600.0"]
+    refused = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert refused.returncode == 2
+    assert "no load cell fa, fb: rest cannot be measured" in refused.stderr.splitlines()[-1]
+    file.write_text(yaml.safe_dump(content))
+    emulate(device, file)
+    rig.start("sensor_bridge", rig=str(file), device=str(device))
+    rig.start("excitation", autostart=False, **DRIVEN)
+    drive(rig)
+    for response in rig.responses[-100:]:
+        assert np.isnan([*response.displacement, *response.stroke, response.acceleration[1]]).all()
+        assert np.isfinite([*response.acceleration[::2], *response.force, response.ground_acceleration]).all()
+    assert rig.change_state("excitation", "deactivate")
+    rig.until(lambda: not any(rig.responses[-1].command), "no command")
+    assert not rig.responses[-1].cause

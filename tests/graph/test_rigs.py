@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -124,3 +125,46 @@ def test_a_channel_dies_on_demand_and_comes_back(graph):
     assert noise() == 0, "what was in force stays"
     assert set_faults(graph, "[]").successful
     graph.until(lambda: noise() > 0, "a2 to be back")
+
+
+def with_three_accelerometers(folder: Path) -> Path:
+    """The five storeys with accelerometers on floors 1, 3 and 5, load cells and the table's accelerometer alone."""
+    file, text = folder / "three.yaml", find_file("five_storey", "abrace_plant", "config", ".yaml", "rig").read_text()
+    text = re.sub(r"(?m)^  (displacement|stroke): \{range.*\n", "", text)
+    file.write_text(text.replace("acceleration: {range", "acceleration: {channels: [a1, a3, a5], range", 1))
+    return file
+
+
+def test_a_rig_is_controlled_and_recorded_with_the_sensors_that_it_has(graph, tmp_path):
+    rig = load_rig(with_three_accelerometers(tmp_path))
+    weights = load_weights(find_file("half", "abrace_lqg", "config", ".yaml", "weights")).model_copy(
+        update={"scale": None, "measured": ["a1", "a3", "a5"]}
+    )
+    made = design(rig.model, weights, 1 / rig.sample_rate)
+    parts = made.controller, made.correction, made.prediction
+    file = tmp_path / "controller.yaml"
+    save_controller(Controller("three", *parts, rig.capacity, "the rig's own", "half", "not needed here"), file)
+    bag = record(graph, str(tmp_path / "three.yaml"), "controller", "--params-file", file)
+    expect_lengths(bag, 5, (2, 1))
+    run = read_run(bag)
+    assert run.names == ("a1", "a3", "a5", "f1", "f2")
+    assert run.without == ("x1", "x2", "x3", "x4", "x5", "xf1", "xf2", "a2", "a4")
+    assert np.isfinite(run.outputs).all()
+    assert (np.abs(run.command).max(axis=0) > 0).all(), "each group is at work"
+    assert (np.abs(run.outputs).max(axis=0) > 0).all()
+
+
+def test_a_controller_that_measures_what_is_not_there_stops_at_the_first_sample(graph, tmp_path):
+    whole, sparse = rig_named("five_storey"), with_three_accelerometers(tmp_path)
+    weights = load_weights(find_file("half", "abrace_lqg", "config", ".yaml", "weights"))
+    made = design(whole.model, weights.model_copy(update={"scale": None}), 1 / whole.sample_rate)
+    parts = made.controller, made.correction, made.prediction
+    file = tmp_path / "controller.yaml"
+    save_controller(Controller("all", *parts, whole.capacity, "the rig's own", "half", "not needed here"), file)
+    graph.start("plant", rig=str(sparse))
+    graph.start("controller", "--params-file", file)
+    responses = graph.listen(Response, "response")
+    graph.until(lambda: responses and responses[-1].cause, "a fault")
+    assert "acceleration[1] of sample " in responses[-1].cause
+    assert "is nan, expected a finite number" in responses[-1].cause
+    assert not any(any(one.command) for one in responses)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_bags import BagWriter, message_definition
+from abrace_core.model.signals import load_cell_names, response_names
 from abrace_core.safety.wire import LOCKSTEP, Head, Responses
 
 if TYPE_CHECKING:
@@ -17,12 +18,15 @@ if TYPE_CHECKING:
 
 
 def write_bag(run: Run, path: Path | str) -> None:
-    """The bag of a run: every brace of a group has the group's mean force, unless the run has those of the braces."""
+    """The bag of a run: every brace of a group has the group's mean force, unless the run has those of all braces."""
     definition = message_definition("abrace_interfaces/msg/Response")
     packed, step = Responses(), round(run.sample_period * 1e9)
-    x, xf, a, f = np.split(run.outputs, np.cumsum([run.floors, run.groups, run.floors]), axis=1)
-    braces = run.braces or (1,) * run.groups
+    braces, names = run.braces or (1,) * run.groups, response_names(run.floors, run.groups)
+    every = np.full((len(run.outputs), len(names)), np.nan)
+    every[:, [names.index(name) for name in run.names]] = run.outputs
+    x, xf, a, f = np.split(every, np.cumsum([run.floors, run.groups, run.floors]), axis=1)
     f = np.repeat(f, braces, axis=1) if run.forces is None else run.forces
+    f = np.where([name in run.without for name in load_cell_names(braces)], np.nan, f)
     with BagWriter(path, {name: text for name, text in run.facts.items() if name != "stopped"}) as bag:
         topic = bag.add_topic("/response", definition.type_name, definition.text, definition.type_hash)
         rows = zip(x.tolist(), a.tolist(), xf.tolist(), f.tolist(), run.command.tolist(), strict=True)

@@ -60,7 +60,7 @@ class Laboratory:
         self.as_it_is = bool(effects(rig))
 
     def _run(self, source: str, outputs: Array, ground: Array, command_until: Array) -> Run:
-        channels = self.rig.sensors.channels(self.rig.floors, self.rig.groups, self.rig.groups)
+        channels = [one for one in self.rig.sensors.channels(self.rig.floors, self.rig.groups, self.rig.groups) if one]
         sensors = Measurement(channels, self.seed, self.model.sample_period)
         readings = sensors.record(np.column_stack([outputs, ground]))
         sequence = np.arange(len(ground), dtype=np.uint64)

@@ -114,8 +114,8 @@ def _run(source: str, response: TopicArrays, period: float, facts: dict[str, Any
     floors, groups = values["displacement"].shape[1], len(braces)
     every = [*(values[name] for name in ("displacement", "stroke", "acceleration", "force"))]
     channels = np.column_stack([*every, values["ground_acceleration"]])
-    names = signals.channel_names(floors, braces)
-    without = tuple(name for name, column in zip(names, channels[0].tolist(), strict=True) if math.isnan(column))
+    known = signals.channel_names(floors, braces)
+    without = tuple(name for name, column in zip(known, channels[0].tolist(), strict=True) if math.isnan(column))
     cells, ends = values["force"], np.cumsum([0, *braces]).tolist()
     there = [[i for i in range(*edges) if not math.isnan(cells[0, i])] for edges in itertools.pairwise(ends)]
     forces = [cells[:, some].sum(axis=1) / len(some) for some in there if some]

@@ -78,7 +78,7 @@ class Scale(Checked):
     ----------
     reduction
         Reduction of the displacements' rms under the design's excitation, mean of the floors: 0.5 halves them. Without
-        displacements that of the outputs in `signals`.
+        displacements that of the outputs in `signals`, or of the accelerations.
     force
         Share of the force limit that three times the rms of a command takes, of the command that needs most.
     """

@@ -121,8 +121,8 @@ class _Prepared:
         }
         force = interlocks.get("force")
         values = group_limits(rig, force, noise.get("force", 0.0)).tolist() if force else []
-        each = [replace(force, value=value) for value in values if force] or [force]
-        self.limits["force"] = [_limit("force", rig, one) for one in each]
+        of_groups = [replace(force, value=value) for value in values] if force else [None]
+        self.limits["force"] = [_limit("force", rig, one) for one in of_groups]
         """By kind: the limit of each of its signals, or one that holds for all."""
 
 

@@ -253,7 +253,9 @@ def _answer(rig: Rig, given: Controller | Law) -> tuple[Callable[[int, list[floa
             raise AbraceError(
                 f"controller {given.name}: every {given.law.sample_period:g} s, expected the rig's {period:g} s"
             )
-        if missing := [name for name in given.law.inputs if name in rig.model.outputs and name not in rig.recorded_names]:
+        if missing := [
+            name for name in given.law.inputs if name in rig.model.outputs and name not in rig.recorded_names
+        ]:
             raise AbraceError(
                 f"controller {given.name}: measures {', '.join(missing)}, expected some of what rig {rig.name} "
                 f"measures, {', '.join(rig.recorded_names)}"

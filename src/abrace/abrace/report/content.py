@@ -210,6 +210,8 @@ def _rig_rows(rig: Rig) -> Iterator[tuple[str, str]]:
         text = f"{group.count} below floor {group.floor}, capacity {actuator.capacity / 1000:.4g} kN each"
         yield f"brace group {number}", text
     yield "sample rate [Hz]", f"{rig.sample_rate:g}"
+    if rig.not_measured:
+        yield "not measured", ", ".join(rig.not_measured)
     table = rig.table
     limits = (f"{table.peak_acceleration:g} m/s²", f"{table.peak_velocity:g} m/s", f"{table.peak_displacement:g} m")
     yield "table, at most", ", ".join(limits)

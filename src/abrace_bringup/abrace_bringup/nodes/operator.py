@@ -106,8 +106,9 @@ class OperatorPage(AbraceNode):
         self.closing = threading.Event()
         self.operator = GraphOperator(self, self.let_pass)
         self.request = StopRequest(given.page_heartbeat)
-        topics = (self.resolve_topic_name(name) for name in ("response", "robot_description"))
-        layout = foxglove_layout(self.rig.floors, self.rig.braces_in_group, *topics, self.rig.not_measured)
+        response, description = (self.resolve_topic_name(name) for name in ("response", "robot_description"))
+        size = self.rig.floors, self.rig.braces_in_group
+        layout = foxglove_layout(*size, response, description, self.rig.not_measured)
         self.server = PageServer(access, self, {"/foxglove.json": (layout, "application/json")}, self.page_failed)
         self.button: StopButton | None = None
         if given.operate:

@@ -95,7 +95,10 @@ def recorded_names(floors: int, braces: Sequence[int], without: Collection[str])
     (('x2', 'a1', 'f'), ('x1', 'xf', 'a1'))
     """
     names, cells = response_names(floors, len(braces)), iter(load_cell_names(braces))
-    of_group = {name: [next(cells) for _ in range(count)] for name, count in zip(numbered("f", len(braces)), braces, strict=True)}
+    of_group = {
+        name: [next(cells) for _ in range(count)]
+        for name, count in zip(numbered("f", len(braces)), braces, strict=True)
+    }
     return tuple(name for name in names if not {*of_group.get(name, [name])} <= {*without})
 
 
@@ -202,8 +205,7 @@ def require_finite(number: int, values: Sequence[float], names: Sequence[str], u
         return
     for name, value in zip(names, values, strict=True):
         if name in used and not math.isfinite(value):
-            hint = " (nan: no such sensor, or it fails)" if math.isnan(value) else ""
-            raise AbraceError(f"{field_of(name)} of sample {number} is {value:g}, expected a finite number{hint}")
+            raise AbraceError(f"{field_of(name)} of sample {number} is {value:g}, expected a finite number")
 
 
 def unit_of_field(name: str) -> str:

@@ -12,6 +12,7 @@ their load cells read the same force.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -88,11 +89,12 @@ class SensorCheck:
     channels
         In the order of a reading.
     judged
-        Whether there was enough motion to find channels that are swapped or have the wrong sign.
+        Whether there was enough motion to find channels that are swapped or have the wrong sign; None: no two sensors
+        measure the same, which nothing could tell.
     """
 
     channels: tuple[ChannelCheck, ...]
-    judged: bool
+    judged: bool | None
 
     @property
     def well(self) -> bool:
@@ -107,7 +109,8 @@ class SensorCheck:
             row += f" {100 * c.range_use:8.2f} {c.drift:11.3g}  {'; '.join(c.faults)}"
             lines.append(row.rstrip())
         if not self.judged:
-            lines.append("Swapped channels and signs: not checked, the rig hardly moved.")
+            why = "no two sensors measure the same" if self.judged is None else "the rig hardly moved"
+            lines.append(f"Swapped channels and signs: not checked, {why}.")
         return "\n".join(lines)
 
 
@@ -203,42 +206,54 @@ def _longest_constant(column: NDArray[np.float64]) -> int:
 
 def _compare(
     rig: Rig, values: NDArray[np.float64], noise: NDArray[np.float64], names: Sequence[str], faults: list[list[str]]
-) -> bool:
-    """Compare accelerations with displacements and strokes with drifts; returns whether there was motion enough."""
-    floors, groups = rig.floors, rig.groups
+) -> bool | None:
+    """Compare accelerations with displacements, strokes with drifts, and load cells of one group, as far as there are.
+
+    Returns whether there was motion enough; None: nothing can be compared.
+    """
+    place = {name: i for i, name in enumerate(names)}
     window = np.hanning(len(values))[:, None]
     spectra = np.fft.rfft((values - values.mean(axis=0)) * window, axis=0)
     frequencies = np.fft.rfftfreq(len(values), 1 / rig.sample_rate)
     spectra, frequencies = spectra[frequencies > LOWEST], frequencies[frequencies > LOWEST]
     squares = ((2 * np.pi * frequencies) ** 2)[:, None]
-    x, stroke = spectra[:, :floors], spectra[:, floors : floors + groups]
-    a = spectra[:, floors + groups : 2 * floors + groups]
-    power = float((window**2).sum())
-    x_noise, a_noise = noise[0], noise[floors + groups]
-    weight = 1 / (power * (a_noise**2 + (squares * x_noise) ** 2))
-    table = spectra[:, -1:]
-    if np.vdot(table, table).real >= NOISY**2 * noise[-1] ** 2 * power * len(table):
-        table = table / _table_gain(table, a, squares * x, weight, names[-1], faults[-1])
-    motion = _judge(
-        a,
-        table - squares * x,
-        weight,
-        [names[floors + groups + i] for i in range(floors)],
-        [names[i] for i in range(floors)],
-        faults[floors + groups : 2 * floors + groups],
-    )
-    below = np.hstack([np.zeros((len(x), 1)), x])
-    drifts = np.column_stack(
-        [group.cosine * (x[:, group.floor - 1] - below[:, group.floor - 1]) for group in rig.braces]
-    )
-    storeys = [f"the drift of storey {group.floor}" for group in rig.braces]
-    even = np.full_like(squares, 1 / (power * (noise[floors] ** 2 + 2 * x_noise**2)))
-    strokes = list(names[floors : floors + groups])
-    first = 2 * floors + groups
+    power, judged = float((window**2).sum()), list[bool]()
+    floors = [i for i in range(1, rig.floors + 1) if f"x{i}" in place and f"a{i}" in place and signals.GROUND in place]
+    if floors:
+        of_x, of_a = ([place[f"{kind}{i}"] for i in floors] for kind in "xa")
+        x, a, table = spectra[:, of_x], spectra[:, of_a], spectra[:, [place[signals.GROUND]]]
+        weight = 1 / (power * (noise[of_a[0]] ** 2 + (squares * noise[of_x[0]]) ** 2))
+        if np.vdot(table, table).real >= NOISY**2 * noise[-1] ** 2 * power * len(table):
+            table = table / _table_gain(table, a, squares * x, weight, names[-1], faults[-1])
+        own, others = ([names[i] for i in each] for each in (of_a, of_x))
+        judged.append(_judge(a, table - squares * x, weight, own, others, [faults[i] for i in of_a]))
+    of_floor = {
+        0: np.zeros(len(spectra)),
+        **{i: spectra[:, place[f"x{i}"]] for i in range(1, rig.floors + 1) if f"x{i}" in place},
+    }
+    braces = [
+        (place[name], group)
+        for name, group in zip(signals.numbered("xf", rig.groups), rig.braces, strict=True)
+        if name in place and group.floor in of_floor and group.floor - 1 in of_floor
+    ]
+    if braces:
+        of_stroke = [i for i, _ in braces]
+        drifts = [one.cosine * (of_floor[one.floor] - of_floor[one.floor - 1]) for _, one in braces]
+        storeys = [f"the drift of storey {one.floor}" for _, one in braces]
+        even = np.full_like(
+            squares, 1 / (power * (noise[of_stroke[0]] ** 2 + 2 * noise[place[f"x{braces[0][1].floor}"]] ** 2))
+        )
+        own = [names[i] for i in of_stroke]
+        judged.append(
+            _judge(spectra[:, of_stroke], np.column_stack(drifts), even, own, storeys, [faults[i] for i in of_stroke])
+        )
+    cells = iter(signals.load_cell_names(rig.braces_in_group))
     for count in rig.braces_in_group:
-        _compare_cells(spectra[:, first : first + count], noise[first] ** 2 * power, names[first:], faults[first:])
-        first += count
-    return _judge(stroke, drifts, even, strokes, storeys, faults[floors : floors + groups]) and motion
+        if there := [place[name] for name in itertools.islice(cells, count) if name in place]:
+            _compare_cells(
+                spectra[:, there], noise[there[0]] ** 2 * power, [names[i] for i in there], [faults[i] for i in there]
+            )
+    return all(judged) if judged else None
 
 
 def _table_gain(

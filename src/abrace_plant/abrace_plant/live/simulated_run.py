@@ -76,7 +76,9 @@ def simulated_run(
     for k, acceleration in enumerate(ground.tolist()):
         sample = loop.step() if k else first
         reading = rig.as_in_message(sample.reading)
-        z = reading[:others] + [sum([reading[i] for i in cells]) / len(cells) if cells else math.nan for cells in groups]
+        z = reading[:others] + [
+            sum([reading[i] for i in cells]) / len(cells) if cells else math.nan for cells in groups
+        ]
         outputs[k], table[k] = [z[i] for i in recorded], reading[-1]
         command[k], clipped[k] = sample.command, sample.head.clipped
         cause = cause or sample.cause

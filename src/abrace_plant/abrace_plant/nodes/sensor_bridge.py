@@ -59,8 +59,8 @@ class SensorBridge(RigNode):
         rig = super().load()
         if cells := cells_missing(rig):
             raise AbraceError(
-                f"rig {rig.name}: no load cell {', '.join(cells)}: rest cannot be measured, expected one in each brace of "
-                "real hardware (sensors.force)"
+                f"rig {rig.name}: no load cell {', '.join(cells)}: rest cannot be measured, expected one in each brace "
+                "of real hardware (sensors.force)"
             )
         self.path = find_file(self.parameters.device, "abrace_plant", "config/devices", ".yaml", "device")
         self.device = load_device(self.path, rig)

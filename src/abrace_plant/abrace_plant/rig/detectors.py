@@ -24,7 +24,7 @@ dead, reversed, swapped with another or wrongly calibrated is not.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -90,9 +90,7 @@ def detectors(rig: Rig) -> Detectors:
     inputs = len(channels) + m + 2
     unit = np.eye(inputs)
     measured = dict(zip(channels, unit, strict=False))
-    x, a = (
-        {i: measured[name] for i in range(n) if (name := f"{letter}{i + 1}") in measured} for letter in ("x", "a")
-    )
+    x, a = ({i: measured[name] for i in range(n) if (name := f"{letter}{i + 1}") in measured} for letter in ("x", "a"))
     x_of = {0: np.zeros(inputs), **{i + 1: row for i, row in x.items()}}  # by the floor's number, 0 the table
     command = unit[len(channels) :]
     rows: list[tuple[Quantity, Matrices, NDArray[np.float64]]] = []
@@ -173,7 +171,7 @@ def not_watched(rig: Rig) -> dict[str, tuple[str, ...]]:
     if not rig.not_measured:
         return {}
     any_sensor = Sensor(1.0, 0.0, 16)
-    kinds = {kind: getattr(rig.sensors, kind) or any_sensor for kind in KINDS}
+    kinds: dict[str, Any] = {kind: getattr(rig.sensors, kind) or any_sensor for kind in KINDS}
     complete = replace(rig, sensors=replace(rig.sensors, **kinds, without=frozenset()))
     watched = {one[:2] for one in detectors(rig).quantities}
     found: dict[str, tuple[str, ...]] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Generic, Literal, TypeVar
 
 import numpy as np
 import pydantic
@@ -205,7 +205,7 @@ def _rig(content: _Rig) -> Rig:
 
 
 def _sensors(sensors: _Sensors, floors: int, braces: Sequence[int]) -> SensorSet:
-    kinds: dict[str, Sensor | None] = dict.fromkeys(KINDS)
+    kinds: dict[str, Any] = dict.fromkeys(KINDS)
     given = {kind: sensor for kind, sensor in sensors if isinstance(sensor, _Sensor)}
     expect(bool(given), "sensors", "none", f"one or more of {', '.join(KINDS)}")
     for kind, sensor in given.items():
@@ -219,9 +219,7 @@ def _sensors(sensors: _Sensors, floors: int, braces: Sequence[int]) -> SensorSet
                 known = name in possible and name not in sensor.channels[:i]
                 expect(known, f"sensors.{kind}.channels.{i}", name, f"one of {', '.join(possible)}, each once")
             without.update(set(possible) - set(sensor.channels))
-    return SensorSet(
-        **kinds, anti_alias=sensors.anti_alias, cross_axis=sensors.cross_axis, without=frozenset(without)
-    )
+    return SensorSet(**kinds, anti_alias=sensors.anti_alias, cross_axis=sensors.cross_axis, without=frozenset(without))
 
 
 def _expect_fast_enough(rig: Rig) -> None:

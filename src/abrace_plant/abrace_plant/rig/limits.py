@@ -113,9 +113,7 @@ def cell_limits(rig: Rig, interlock: Interlock, noise: float) -> dict[str, float
     """By load cell, the `group_limits` of a `rig` for an `interlock` and `noise` [N]."""
     cells = signals.load_cell_names(rig.braces_in_group)
     limits = np.repeat(group_limits(rig, interlock, noise), rig.braces_in_group)
-    return {
-        name: limit for name, limit in zip(cells, limits.tolist(), strict=True) if name in rig.channel_names
-    }
+    return {name: limit for name, limit in zip(cells, limits.tolist(), strict=True) if name in rig.channel_names}
 
 
 def frequencies(rig: Rig) -> NDArray[np.float64]:

@@ -243,8 +243,7 @@ class Rig:
 
     @cached_property
     def measured_outputs(self) -> NDArray[np.intp]:
-        """(channels of the structure,) which of the outputs z each channel measures; the table's, if any, is the last.
-        """
+        """(channels but the table's,) which of the outputs z each channel measures; the table's channel is the last."""
         others = 2 * self.floors + self.groups
         groups = others + np.repeat(np.arange(self.groups), self.braces_in_group)
         every = np.concatenate([np.arange(others), groups])

@@ -14,7 +14,7 @@ import numpy as np
 from abrace_core import AbraceError
 from abrace_sysid.fitting.curve_fit import UnstablePolesError
 from abrace_sysid.fitting.maximum_likelihood import fit_again, fit_poles
-from abrace_sysid.fitting.mode_search import find_modes
+from abrace_sysid.fitting.mode_search import ALIKE, find_modes
 from abrace_sysid.fitting.residual_terms import residual_poles
 from abrace_sysid.fitting.vector_fitting import HEAVY_DAMPING
 
@@ -154,7 +154,24 @@ def fit_rig(
     """
     modes = rig_modes(observations, given)
     few = [observation.thinned(TRIAL_LINES) for observation in observations]
-    best, best_form, reasons = None, ServoForm(), []
+    best, reasons, left = _best_form(few, modes, forms, groups, given)
+    while best is None and 0 < len(left) < len(modes):
+        # a mode just above the lines was found as a heavy pair: the others are those of the test
+        modes = left
+        best, reasons, left = _best_form(few, modes, forms, groups, given)
+    if best is None:
+        raise AbraceError(
+            f"{observations[0].source}: no form of the servos could be fitted with {len(modes)} modes: "
+            f"{'; '.join(reasons)}"
+        )
+    return (fit_poles if given else fit_again)(observations, best, spread="none")
+
+
+def _best_form(
+    few: Sequence[Observation], modes: NDArray[np.complex128], forms: Sequence[ServoForm], groups: int, given: int
+) -> tuple[PoleEstimate | None, list[str], NDArray[np.complex128]]:
+    """The fit of least description length, reasons against the others, and the modes without pairs that are none."""
+    best, best_form, reasons, left = None, ServoForm(), [], modes
     for form in forms:
         # a form with fewer poles than one that was already worse is not tried
         if best is not None and form.reals < best_form.reals - 1:
@@ -165,22 +182,23 @@ def fit_rig(
             reasons.append(f"{form.reals} real poles: {error}")
             continue
         # a pair that is no mode is accepted only if the user has given the number
-        if not given and no_modes(trial, few[0].omega):
+        if wrong := [] if given else no_modes(trial, few[0].omega):
             reasons.append(f"{form.reals} real poles: a pair becomes one that is no mode")
+            upper = trial.poles[trial.poles.imag > 0]
+            far = ~np.isclose(np.abs(upper)[:, None], [pair.frequency for pair in wrong], rtol=1e-9).any(axis=1)
+            left = min(left, upper[far], key=len)
         elif best is None or trial.mdl < best.mdl:
             best, best_form = trial, form
-    if best is None:
-        raise AbraceError(
-            f"{observations[0].source}: no form of the servos could be fitted with {len(modes)} modes: "
-            f"{'; '.join(reasons)}"
-        )
-    return (fit_poles if given else fit_again)(observations, best, spread="none")
+    return best, reasons, left
 
 
 def _stable_fit(
     observations: Sequence[Observation], modes: NDArray[np.complex128], form: ServoForm, groups: int
 ) -> PoleEstimate:
-    """As `fit_with_form`, without the modes that become unstable: friction can look like a second copy of one."""
+    """As `fit_with_form`, without the modes that become unstable, and one of two that the fit cannot tell apart.
+
+    Friction can look like a second copy of a mode, and a mode just above the lines like two heavy ones.
+    """
     while True:
         try:
             return fit_with_form(observations, modes, form, groups)
@@ -188,7 +206,13 @@ def _stable_fit(
             kept = ~error.unstable[: len(modes)]
             if kept.all() or not kept.any():
                 raise
-            modes = modes[kept]
+        except AbraceError:
+            apart = np.abs(modes[:, None] - modes) / -np.minimum(modes.real[:, None], modes.real)
+            nearest = np.where(np.eye(len(modes), dtype=np.bool_), np.inf, np.abs(apart)).min(axis=1, initial=np.inf)
+            kept = np.arange(len(modes)) != np.argmin(nearest)
+            if nearest.min(initial=np.inf) > ALIKE:
+                raise
+        modes = modes[kept]
 
 
 def no_modes(estimate: PoleEstimate, lines: NDArray[np.float64]) -> list[PoleInterval]:

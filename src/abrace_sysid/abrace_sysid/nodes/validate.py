@@ -92,15 +92,18 @@ class ValidateNode(AbraceNode):
         if given.model:
             telling = signals.most_telling(shown.names)
             with_table = test and signals.GROUND in test.all_names
-            motion = test.ground_acceleration if test and with_table else shown.measured[:, shown.names.index(telling[0])]
+            motion = (
+                test.ground_acceleration if test and with_table else shown.measured[:, shown.names.index(telling[0])]
+            )
             begin = max(shown.time[0], shown.time[np.argmax(np.abs(motion))] - BEFORE)
             zoom = (begin, min(begin + ZOOM, shown.time[-1]))
             drawing = figures.time_histories(shown, telling, zoom, units, _tested(facts))
             save_figure(drawing, output / "figure_6_time_histories.svg")
             _print(comparisons)
         if test and uncontrolled:
-            of_top = [[name for name in test.names if name[0] == letter and name[1:].isdigit()][-1:] for letter in "xa"]
-            drawing = figures.control_effect(uncontrolled, test, sum(of_top, []), units, _tested(facts))
+            floors = [name for name in test.names if name[1:].isdigit()]
+            tops = [name for letter in "xa" for name in [one for one in floors if one[0] == letter][-1:]]
+            drawing = figures.control_effect(uncontrolled, test, tops, units, _tested(facts))
             save_figure(drawing, output / "uncontrolled_and_controlled.svg")
         print(f"wrote {output}")
         if judged:
