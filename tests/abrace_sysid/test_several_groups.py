@@ -9,9 +9,14 @@ from laboratory import Laboratory
 from abrace_core import AbraceError
 from abrace_core.model.linear_model import pole_table
 from abrace_core.model.multisine import repeated_multisine
+from abrace_core.model.table_signals import table_noise
 from abrace_plant.rig.file import load_rig
+from abrace_sysid.examination import prepared
 from abrace_sysid.fitting.options import IdentificationOptions
+from abrace_sysid.fitting.pole_fits import _observations
+from abrace_sysid.fitting.servo_forms import ServoForm, fit_rig
 from abrace_sysid.identification import identify
+from abrace_sysid.input_tests import input_tests
 from abrace_sysid.recorded.test import Test
 from abrace_sysid.validation import compare
 from abrace_sysid.validity.judgement import judge
@@ -20,6 +25,7 @@ from abrace_sysid.validity.mechanics import backlashes, floor_masses
 from abrace_sysid.validity.motion import Motion
 from abrace_sysid.validity.rig_findings import backlash
 
+CONFIG = Path(__file__).parents[2] / "src/abrace_plant/config"
 OPTIONS = IdentificationOptions(table_band=(0.3, 25.0))
 SECONDS, SECONDS_STEPPED = 100, 40
 """Of tests; of those of a building that is worn, which is stepped from sample to sample."""
@@ -172,3 +178,15 @@ def test_multisines_on_table_and_both_groups_lose_no_channel_and_are_not_taken_f
     assert np.abs(pairs / own - 1).max(axis=0) == pytest.approx(0, abs=0.02)
     validity = judge(found).validity
     assert validity.verdict.words == "trust", validity.text()
+
+
+def test_a_mode_just_above_the_band_of_the_table_is_no_reason_to_refuse_it(five):
+    six = replace(load_rig(CONFIG / "six_storey.yaml"), sensors=five.sensors)
+    ground = table_noise(100_000, 500.0, (0.1, 10.4), 0.25, 1)
+    run = Laboratory(six, 1).open_loop("bags/table", ground, np.zeros((len(ground), 2)))
+    options = IdentificationOptions().of_tests([Test.of(run)], [Test.of(run)])
+    bands = {"w": options.table_band}
+    (data,) = input_tests((prepared(Test.of(run), bands),), bands, options)
+    found = fit_rig(_observations([data]), [ServoForm(1), ServoForm(0)])
+    below = [pair[0] for pair in pole_table(six.model.poles)][:5]
+    np.testing.assert_allclose([pair.frequency for pair in found.pairs()][:5], below, rtol=1e-3)
