@@ -33,6 +33,7 @@ from faultless_rigs import verify_faultless
 from identification_claims import verify_identification
 from interlock_margins import verify_interlocks
 from interval_coverage import verify_coverage
+from killed_nodes import verify_killed_nodes
 from measured_structure import verify_measured
 from operator_page import verify_operator
 from other_files import verify_files
@@ -106,6 +107,9 @@ def parts(record: Path | None, measured: Path | None, robot_arm: Path | None) ->
         "target": Part(("target",), "stops of the target, cut cables, a sticking valve", verify_target),
         "state_table": Part(("state_table",), "every wrong cell of the table of states", verify_state_table),
         "safety": Part(("safety",), "every state with every event; what may go wrong, on running nodes", verify_safety),
+        "killed_nodes": Part(
+            ("killed_nodes",), "nodes that command nothing, killed while a force acts", verify_killed_nodes
+        ),
         "exceptions": Part(
             ("exceptions",), "an exception in every callback and task of every live node", verify_exceptions
         ),

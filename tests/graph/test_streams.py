@@ -3,7 +3,7 @@
 
 from abrace_node.transport import lockstep_environment
 
-THREE_SECONDS = 3_000_000_000
+TWO_SECONDS = 2_000_000_000
 STREAMS = ("response", "joint_states", "ground_motion")
 
 
@@ -21,11 +21,11 @@ def lifespans(graph):
     return {topic: one.qos_profile.lifespan.nanoseconds for topic, (one,) in found.items()}
 
 
-def test_a_join_leaves_nothing_behind_in_the_streams_for_longer_than_three_seconds(graph):
-    assert lifespans(graph) == dict.fromkeys(STREAMS, THREE_SECONDS)
+def test_a_join_leaves_nothing_behind_in_the_streams_for_longer_than_two_seconds(graph):
+    assert lifespans(graph) == dict.fromkeys(STREAMS, TWO_SECONDS)
 
 
 def test_in_lockstep_a_message_waits_for_its_subscriber_as_long_as_it_takes(graph, monkeypatch):
     for name, value in lockstep_environment().items():
         monkeypatch.setenv(name, value)
-    assert min(lifespans(graph).values()) > 1000 * THREE_SECONDS
+    assert min(lifespans(graph).values()) > 1000 * TWO_SECONDS
