@@ -41,6 +41,9 @@ class LawSample:
         (floors,) of the floors: relative to the table, and absolute.
     stroke, force
         (groups,) of one brace of each group; the force is the mean of the group's load cells.
+    applied
+        (groups,) [N], the command for one brace of each group that acted until this sample: what saturation, rate limit
+        and fade left of the answer to the last sample but one, unless that was lost or late.
     lost
         Samples that were lost just before this one.
     """
@@ -50,6 +53,7 @@ class LawSample:
     stroke: NDArray[np.float64]
     acceleration: NDArray[np.float64]
     force: NDArray[np.float64]
+    applied: NDArray[np.float64]
     lost: int
 
 
@@ -135,20 +139,23 @@ class GuardedLaw:
         self._names = response_names(floors, groups)
         self._call("begin", floors, groups, self._period)
 
-    def force(self, number: int, z: Sequence[float], lost: int) -> list[float]:
+    def force(self, number: int, z: Sequence[float], applied: Sequence[float], lost: int) -> list[float]:
         """The law's force (groups,) [N] in answer to sample `number`, faded in.
 
-        `z` is [displacements, strokes, accelerations, forces], as measured; `lost` samples were lost just before.
+        `z` is [displacements, strokes, accelerations, forces], as measured; `applied` (groups,) [N] acted until the
+        sample; `lost` samples were lost just before.
 
         Raises
         ------
         AbraceError
-            If a measured value is not finite, or the law fails.
+            If a value is not finite, or the law fails.
         """
         require_finite(number, z, self._names, self._names)
+        if not all(map(math.isfinite, applied)):
+            raise AbraceError(f"command of sample {number} is {[*applied]}, expected finite numbers")
         floors, groups, values = self._floors, self._groups, np.array(z)
         x, stroke, a, f = np.split(values, np.cumsum([floors, groups, floors]))
-        found = self._call("force", LawSample(number, x, stroke, a, f, lost))
+        found = self._call("force", LawSample(number, x, stroke, a, f, np.array(applied), lost))
         try:
             force = np.atleast_1d(np.asarray([] if found is None else found, dtype=np.float64))
         except (TypeError, ValueError, OverflowError):
