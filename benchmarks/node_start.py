@@ -44,7 +44,7 @@ def node_start(turns: int = TURNS) -> dict[str, Any]:
     """All of it; call it in a folder and on a domain of one's own."""
     none = np.zeros((1, 1))
     law = LinearModel(none, none, none, none, ("a1",), ("U",), 0.002)
-    save_controller(Controller("one", law, none, np.zeros((1, 2)), np.array([2e4]), *["none"] * 3), Path("one.yaml"))
+    save_controller(Controller("one", law, none, np.zeros((1, 2)), np.array([2e4]), "", "", ""), Path("one.yaml"))
     first, *later = ((_bare(), _nodes(turn)) for turn in range(turns + 1))
     wall, cpu = (
         {name: statistics.median(turn[j][i] for turn in later) for j, name in enumerate(("bare", "nodes"))}

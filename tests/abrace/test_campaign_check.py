@@ -118,11 +118,11 @@ def test_what_a_verb_would_refuse_is_told_by_its_own_check_in_one_round(tmp_path
         "{name: o, ambient: {test: w, band: [1.0, 900.0]}}",
         "{name: p, ambient: {test: w, channels: [a7], highest_order: 40}}",
         "{name: q, ambient: {test: w, highest_order: 2}}",
-        "{name: r, design: {model: b, weights: lqg3, sample_period: 0.004}}",
+        "{name: r, design: {model: b, weights: lqg3, sample_period: 0.003}}",
         f"{{name: s, test: {{duration: 9.0, ground_motion: {EL_CENTRO}, controller: r}}}}",
     )
     expected = [
-        "27 mistakes, nothing was started",
+        "28 mistakes, nothing was started",
         "step a: identify.method: 'papr', expected 'maximum_likelihood', 'vector_fitting' or 'paper'",
         "step c: identify.table_band: [5.0, 1.0], expected two frequencies in Hz, the lower one first",
         "step e: identify.segment: '4096', expected a whole number",
@@ -153,7 +153,8 @@ def test_what_a_verb_would_refuse_is_told_by_its_own_check_in_one_round(tmp_path
         "step m: design.sample_period: 0.9 s, expected above 0 and below 0.427 s",
         "step o: ambient: ambient test: band 1 to 900 Hz, expected within 0 to 250 Hz",
         "step p: ambient: ambient test: no channel 'a7', it has x1, x2, x3, xf, a1",
-        "step s: test.controller: r samples every 0.004 s, expected 0.002 s",
+        "step r: design.sample_period: 0.003 s, expected 0.002 s, the rig's, or a whole multiple of it",
+        "step s: test.controller: r: sample period 0.003 s, expected 0.002 s, the rig's, or a whole",
     ]
     for line, start in zip(found, expected, strict=False):
         assert line.startswith(start), f"{line}, expected {start}"
@@ -281,7 +282,7 @@ def test_the_interlock_that_stops_the_simulated_rig_is_foretold(
 
     def stopped(time: float) -> str:
         motion = ground[: round(time * rig.sample_rate)]
-        return simulated_run(rig, motion, lambda k, _: [float(force[k])]).facts.get("stopped", "")
+        return simulated_run(rig, motion, lambda k, *_: [float(force[k])]).facts.get("stopped", "")
 
     assert not stopped(seconds - 0.05)
     assert stopped(seconds + 0.05).endswith(f"(interlocks.{interlock})")

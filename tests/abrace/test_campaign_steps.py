@@ -74,7 +74,8 @@ def test_a_node_of_the_users_commands_the_braces_with_the_rigs_rate_and_limits(t
 def test_limits_of_a_test_go_after_those_of_its_controllers_file(tmp_path: Path) -> None:
     read = campaign(tmp_path, "{name: a, test: {duration: 9.0, controller: lqg.yaml, force_limit: [9000.0]}}")
     (node,) = drivers(read.tests["a"], Laboratories(read).of(), Path).values()
-    assert (node.parameters, node.files) == ({"force_limit": [9000.0], "rate_limit": 2.5e6}, (tmp_path / "lqg.yaml",))
+    limits = {"force_limit": [9000.0], "rate_limit": 2.5e6}
+    assert (node.parameters, node.files) == ({"rig_period": 0.002, **limits}, (tmp_path / "lqg.yaml",))
 
 
 def test_a_test_may_have_a_rig_of_its_own_a_node_of_the_users_or_the_emulator(tmp_path: Path) -> None:

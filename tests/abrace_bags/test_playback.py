@@ -47,7 +47,7 @@ class Recorded(RawMessages):
 
 def recorded(content: Sequence[RawMessage], found: dict[str, RecordedTopic] | None = None) -> RawMessages:
     """A bag of these messages."""
-    bag = Recorded([], Selection())
+    bag = Recorded([], Selection(), {})
     counts = Counter(message.topic for message in content)
     times = [message.log_time for message in content]
     bag.content, bag.topics, bag.first, bag.last = content, found or {}, min(times), max(times)

@@ -11,6 +11,7 @@ from abrace_core.model.own_law import GuardedLaw, law_options, make_law
 
 Z = (0.1, 0.2, 0.3, 0.01, 1.0, 2.0, 3.0, 500.0)
 """Three floors, one brace group."""
+U = (250.0,)
 
 
 class Law:
@@ -33,7 +34,7 @@ def guarded(law, ramp_time=0.0):
 
 def test_a_law_is_given_each_sample_by_the_quantities_names():
     law = Law()
-    assert guarded(law).force(5, Z, 2) == [7.0]
+    assert guarded(law).force(5, Z, U, 2) == [7.0]
     assert law.began == (3, 1, 0.002)
     sample = law.sample
     assert (sample.number, sample.lost) == (5, 2)
@@ -42,6 +43,7 @@ def test_a_law_is_given_each_sample_by_the_quantities_names():
         (sample.stroke, Z[3:4]),
         (sample.acceleration, Z[4:7]),
         (sample.force, Z[7:]),
+        (sample.applied, U),
     ):
         assert found.tolist() == list(expected)
 
@@ -49,7 +51,7 @@ def test_a_law_is_given_each_sample_by_the_quantities_names():
 def test_the_force_fades_in_along_half_a_cosine_whenever_it_begins_anew():
     law = guarded(Law(answer=lambda _: 8.0), ramp_time=0.008)
     for _ in range(2):
-        found = [law.force(number, Z, 0)[0] for number in range(5)]
+        found = [law.force(number, Z, U, 0)[0] for number in range(5)]
         assert found == pytest.approx([8 * (1 - np.cos(np.pi * j / 4)) / 2 for j in (1, 2, 3)] + [8.0, 8.0])
         law.begin(3, 1)
 
@@ -108,7 +110,7 @@ def test_a_parameter_that_ros_cannot_have_is_named(default):
 )
 def test_what_goes_wrong_in_a_law_is_said_with_its_name(answer, message):
     with pytest.raises(AbraceError, match=message):
-        guarded(Law(answer=answer)).force(0, Z, 0)
+        guarded(Law(answer=answer)).force(0, Z, U, 0)
 
 
 @pytest.mark.parametrize(
@@ -118,16 +120,18 @@ def test_what_goes_wrong_in_a_law_is_said_with_its_name(answer, message):
         (3, np.inf, r"stroke\[0\] of sample 1000 is inf, expected"),
         (5, -np.inf, r"acceleration\[1\] of sample 1000 is -inf, expected"),
         (7, np.nan, r"force\[0\] of sample 1000 is nan, expected"),
+        (8, np.nan, r"command of sample 1000 is \[nan\], expected finite numbers"),
     ],
 )
 def test_a_sample_that_is_not_finite_reaches_no_law(place, value, message):
     law = Law()
     one = guarded(law)
-    one.force(999, Z, 0)
+    one.force(999, Z, U, 0)
+    given = [value if i == place else z for i, z in enumerate((*Z, *U))]
     with pytest.raises(AbraceError, match=message):
-        one.force(1000, [value if i == place else z for i, z in enumerate(Z)], 0)
+        one.force(1000, given[:8], given[8:], 0)
     assert law.sample.number == 999
 
 
 def test_values_whose_sum_overflows_are_finite():
-    assert guarded(Law()).force(0, [1e308] * 8, 0) == [7.0]
+    assert guarded(Law()).force(0, [1e308] * 8, U, 0) == [7.0]

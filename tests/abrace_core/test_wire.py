@@ -77,6 +77,7 @@ def test_responses_are_read_as_rclpy_wrote_them_when_the_rig_changes_too(first, 
         assert found == head(message)
         assert reader.cause(payload) == message.cause
         assert reader.table_displacement == message.table_displacement
+        assert reader.command == tuple(message.command)
         others = (*message.displacement, *message.stroke, *message.acceleration)
         assert z[: len(others)] == others
         ends = np.cumsum(message.braces, dtype=int).tolist()

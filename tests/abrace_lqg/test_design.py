@@ -39,9 +39,9 @@ def weights(**changes: float) -> Weights:
 def test_a_delayed_command_has_unit_gain_and_the_whole_delays_phase():
     model = storey(delay=0.0008)
     omega = np.linspace(1, 2 * np.pi * 30, 200)
-    ratio = delayed(model, PERIOD).frequency_response(omega) / replace(model, input_delay=(0, 0)).frequency_response(
-        omega
-    )
+    ratio = delayed(model, PERIOD, PERIOD).frequency_response(omega) / replace(
+        model, input_delay=(0, 0)
+    ).frequency_response(omega)
     np.testing.assert_allclose(ratio[:, :, 1], np.tile(np.exp(-1j * omega * 0.0038)[:, None], 2), atol=5e-4)
     np.testing.assert_allclose(np.abs(ratio[:, :, 1]), 1, rtol=1e-9)
     np.testing.assert_allclose(ratio[:, 0, 0], 1, rtol=1e-9)
@@ -53,7 +53,7 @@ def test_the_delay_of_the_design_model_is_that_from_sample_to_effect():
     held = discretize(model, PERIOD)
     omega = np.linspace(1, 60, 50)
     true = held.frequency_response(omega)[:, 0, 1] * np.exp(-1j * omega * PERIOD)
-    np.testing.assert_allclose(delayed(model, PERIOD).frequency_response(omega)[:, 0, 1] / true, 1, atol=2e-3)
+    np.testing.assert_allclose(delayed(model, PERIOD, PERIOD).frequency_response(omega)[:, 0, 1] / true, 1, atol=2e-3)
 
 
 def test_eq_12_is_the_filter_with_its_own_command_as_input():

@@ -27,8 +27,8 @@ RAMP = 0.1
 SAMPLES = 1000
 
 
-def controller(measured: tuple[str, ...] = ("a1", "a2", "a3")) -> Controller:
-    """Six states, two commands, gains with which forces reach both limits."""
+def controller(measured: tuple[str, ...] = ("a1", "a2", "a3"), held: int = 1) -> Controller:
+    """Six states, two commands, gains with which forces reach both limits; it answers one of `held` samples."""
     random = np.random.default_rng(3)
     a = random.normal(size=(6, 6))
     a *= 0.95 / np.abs(np.linalg.eigvals(a)).max()
@@ -39,10 +39,11 @@ def controller(measured: tuple[str, ...] = ("a1", "a2", "a3")) -> Controller:
         100 * random.normal(size=(2, len(measured))),
         inputs=measured,
         outputs=("U1", "U2"),
-        sample_period=PERIOD,
+        sample_period=held * PERIOD,
     )
     correction, prediction = 1e-4 * random.normal(size=(6, 2)), random.normal(size=(len(measured), 8))
-    return Controller("lqg*/3", law, correction, prediction, np.array([2000.0, 3000.0]), "of a test */", "-", "-")
+    limit = np.array([2000.0, 3000.0])
+    return Controller("lqg*/3", law, correction, prediction, limit, "of a test */", "-", "-", PERIOD)
 
 
 def measured() -> np.ndarray:
@@ -87,14 +88,31 @@ def test_the_c_controller_commands_what_the_node_commands(library: Path, acting:
     assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
 
 
-def test_the_co_simulation_unit_commands_what_the_node_commands(tmp_path: Path):
+@pytest.mark.parametrize("held", [2, 5])
+def test_a_slower_controller_answers_the_same_samples_in_c(tmp_path: Path, held: int):
+    slower = controller(held=held)
+    write_c(slower, tmp_path, RATE_LIMIT, RAMP)
+    expected, guard = node_answers(slower, measured(), [500.0, -900.0])
+    assert guard.saturations > 10
+    assert guard.rate_limits > 10
+    in_c = InC(compiled(tmp_path), 6, 2)
+    for _ in range(2):
+        in_c.start([500.0, -900.0])
+        found = np.array([in_c.step(values)[0] for values in picked(measured())[: SAMPLES - 1]])
+        assert np.abs(found - expected[:-1]).max() <= 1e-12 * np.abs(expected).max()
+    assert "#define ABRACE_SAMPLE_PERIOD 0.002 " in (tmp_path / "constants.h").read_text()
+
+
+@pytest.mark.parametrize("held", [1, 5])
+def test_the_co_simulation_unit_commands_what_the_node_commands(tmp_path: Path, held: int):
     pytest.importorskip("fmpy", reason="fmpy is not installed")
-    write_fmu(controller(), tmp_path / "lqg3.fmu", RATE_LIMIT, RAMP)
-    expected, _ = node_answers(controller(), measured(), [0.0, 0.0])
+    write_fmu(controller(held=held), tmp_path / "lqg3.fmu", RATE_LIMIT, RAMP)
+    expected, _ = node_answers(controller(held=held), measured(), [0.0, 0.0])
     found = unit_answers(tmp_path / "lqg3.fmu", ("a1", "a2", "a3"), ("U1", "U2"), picked(measured()), PERIOD)
     assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
     with zipfile.ZipFile(tmp_path / "lqg3.fmu") as unit:
         assert {"sources/controller.c", "sources/constants.c", "sources/fmu.c"} < set(unit.namelist())
+        assert b'stepSize="0.002"' in unit.read("modelDescription.xml")
 
 
 def test_a_unit_of_fmi_keeps_to_its_schema_and_refuses_other_steps(tmp_path: Path):

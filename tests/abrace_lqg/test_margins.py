@@ -223,5 +223,5 @@ def test_a_response_that_is_not_finite_has_no_margins_but_an_error():
 
 
 def test_a_model_of_another_sample_period_is_refused():
-    with pytest.raises(AbraceError, match=r"model sampled every 0\.02 s, expected every 0\.01 s"):
+    with pytest.raises(AbraceError, match=r"sample period 0\.01 s, expected 0\.02 s, the rig's, or a whole"):
         closed_loop(sampled(integrator(), 0.02), gain(-1.0))

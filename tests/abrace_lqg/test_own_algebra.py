@@ -111,13 +111,13 @@ def test_a_delayed_command_is_that_of_python_controls_pade_in_coordinates_of_one
     ratio = control.tf(*control.pade(whole, 2))(1j * OMEGA)
     undelayed = LinearModel(model.a, model.b, model.c, model.d, model.inputs, model.outputs)
     expected = undelayed.frequency_response(OMEGA)[:, :, 1] * ratio[:, None]
-    found = delayed(model, PERIOD).frequency_response(OMEGA)[:, :, 1]
+    found = delayed(model, PERIOD, PERIOD).frequency_response(OMEGA)[:, :, 1]
     assert (np.abs(found - expected).max(axis=0) / np.abs(expected).max(axis=0)).max() < 1e-9
 
 
 def test_gains_are_python_controls_but_for_the_scaling_that_newtons_beside_metres_need():
     """One step of Newton's method (Kleinman 1968) from the gain shows its error."""
-    model = balanced(delayed(rig("five_storey"), PERIOD))
+    model = balanced(delayed(rig("five_storey"), PERIOD, PERIOD))
     given = load_rig(SOURCES / "abrace_plant/config/five_storey.yaml")
     half = load_weights(SOURCES / "abrace_lqg/config/half.yaml")
     scaled = scaled_weights(given.model, half, PERIOD, given.capacity.tolist(), excitation_of(given.model))

@@ -20,8 +20,8 @@ def rig():
 def test_each_group_gives_its_stroke_and_the_mean_of_its_braces(rig):
     seen = []
 
-    def force(number, z):
-        seen.append((number, z))
+    def force(number, z, applied):
+        seen.append((number, z, applied))
         return [1000.0, -500.0]
 
     run = simulated_run(rig, np.zeros(500), force)
@@ -29,8 +29,10 @@ def test_each_group_gives_its_stroke_and_the_mean_of_its_braces(rig):
     assert run.braces == (2, 1)
     np.testing.assert_array_equal(run.command[2:], [[1000.0, -500.0]] * 498)
     assert run.channels(["f1", "f2"])[-1] == pytest.approx([1000.0, -500.0], rel=0.2)
-    assert [number for number, _ in seen] == list(range(500))
-    np.testing.assert_array_equal([z for _, z in seen], run.outputs)
+    numbers, measured, applied = zip(*seen, strict=True)
+    assert list(numbers) == list(range(500))
+    np.testing.assert_array_equal(measured, run.outputs)
+    np.testing.assert_array_equal(applied, run.command)
     assert not run.clipped.any()
 
 

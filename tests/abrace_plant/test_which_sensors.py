@@ -63,7 +63,7 @@ THREE = ("a1", "a3", "a5", "f1a", "f1b", "f2", "w")
 MOTION = 0.2 * np.sin(2 * np.pi * 1.2 * np.arange(1500) * 0.002)
 
 
-def push(number: int, _: list[float]) -> list[float]:
+def push(number: int, *_: list[float]) -> list[float]:
     return [2000.0 * math.sin(0.02 * number), -1000.0]
 
 
@@ -80,7 +80,7 @@ def test_any_subset_reads_what_the_complete_rig_reads_and_nothing_trips(seed, tm
     assert rig.channel_names == tuple(chosen)
     seen: list[list[float]] = []
 
-    def law(number: int, z: list[float]) -> list[float]:
+    def law(number: int, z: list[float], _: list[float]) -> list[float]:
         seen.append(z)
         return push(number, z)
 
@@ -261,7 +261,7 @@ def test_an_own_law_gets_nan_for_what_is_not_measured_and_stops_at_a_sensor_that
     law = GuardedLaw(Skyhook(), 0.002, 0.0)
     law.begin(2, 1)
     z = [math.nan, math.nan, 0.01, 1.0, math.nan, 5.0]
-    assert law.force(0, z, 0) == [-10.0]
+    assert law.force(0, z, [0.0], 0) == [-10.0]
     z[2] = math.nan
     with pytest.raises(AbraceError, match=r"stroke\[0\] of sample 1 is nan, expected a finite number"):
-        law.force(1, z, 0)
+        law.force(1, z, [0.0], 0)

@@ -96,8 +96,8 @@ def test_model_controller_and_run_of_different_rigs_are_refused(rig, laboratory,
         compare(run, rig.model.select(inputs=["w"]), None, rig.capacity)
     with pytest.raises(AbraceError, match="the controller measures a4"):
         compare(run, rig.model, replace(controller, inputs=("a1", "a2", "a4")), rig.capacity)
-    with pytest.raises(AbraceError, match=r"every 0\.004 s"):
-        compare(run, rig.model, replace(controller, sample_period=0.004), rig.capacity)
+    with pytest.raises(AbraceError, match=r"sample period 0\.003 s, expected 0\.002 s, the rig's"):
+        compare(run, rig.model, replace(controller, sample_period=0.003), rig.capacity)
     with pytest.raises(AbraceError, match="2 capacities, expected one for each of 1"):
         compare(run, rig.model, None, np.array([1.0, 1.0]))
     with pytest.raises(AbraceError, match="sample 2 after 0, expected consecutive samples"):

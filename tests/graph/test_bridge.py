@@ -162,7 +162,7 @@ def test_hardware_that_is_not_there_refuses_the_activation_and_is_taken_at_1_khz
     emulate(device, fast)
     before = above_the_loop(bridge)
     assert rig.change_state("sensor_bridge", "activate")
-    rig.until(lambda: len(rig.responses) > 1000, "samples")
+    rig.until(lambda: len(rig.responses) > 1500, "samples")
     assert rig.responses[0].sequence == 0
     steps = np.diff([response.sequence for response in rig.responses])
     stamps = np.array([stamp(response) for response in rig.responses])

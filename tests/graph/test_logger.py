@@ -22,7 +22,7 @@ from std_msgs.msg import Bool, Float64, Header, String
 from std_srvs.srv import Trigger
 
 from abrace.processes.parameter_file import parameter_file
-from abrace_bags import Bag
+from abrace_bags import Bag, describe
 from abrace_bags.nodes import raw_subscription
 from abrace_bags.nodes.logger import Logger
 from abrace_core import AbraceError
@@ -160,6 +160,57 @@ def test_gaps_attachments_versions_and_parameters_are_in_the_bag(graph):
     assert (attachment.name, attachment.data) == ("rig.yaml", b"storeys: 3\n")
 
 
+def test_of_some_topics_every_nth_message_is_kept_and_the_bag_says_so(graph):
+    bag, namespace = graph.folder / "bag", graph.namespace
+    every = ["brace_command=5", f"{namespace}/value=2"]
+    graph.start("logger", output=str(bag), topics=["brace_command", "value", "whole"], every=every, facts=["rig=own"])
+    publisher, value, whole = (
+        graph.publisher(kind, name)
+        for kind, name in ((BraceCommand, "brace_command"), (Float64, "value"), (Bool, "whole"))
+    )
+    for name in ("brace_command", "value", "whole"):
+        matched(graph, name)
+    for number in (*range(3, 24), *range(31, 42)):
+        publisher.publish(BraceCommand(sequence=number, force=[1.0]))
+    publish_numbers(value, range(7))
+    for _ in range(3):
+        whole.publish(Bool())
+    for name, count in (("brace_command", 6), ("value", 4), ("whole", 3)):
+        until_counted(graph, name, count)
+    assert graph.stop("logger") == 0
+    opened = Bag(bag)
+    assert opened.facts == {
+        "rig": "own",
+        f"every of {namespace}/brace_command": "5",
+        f"every of {namespace}/value": "2",
+    }
+    fields = {name.rpartition("/")[2]: topic.fields for name, topic in opened.arrays().items()}
+    assert fields["brace_command"]["sequence"].tolist() == [5, 10, 15, 20, 35, 40]
+    assert fields["value"]["data"].tolist() == [0, 2, 4, 6]
+    found = describe(bag).contents[f"{namespace}/brace_command"]
+    assert (found.messages, found.gaps, found.missing, found.lost) == (6, 1, 2, 0), "25 and 30 alone"
+    assert describe(bag).warnings == ()
+
+
+def test_messages_that_the_middleware_dropped_are_lost_only_if_they_would_have_been_kept(graph, own_logger):
+    publisher = graph.node.create_publisher(BraceCommand, "brace_command", 2 * raw_subscription.DEPTH)
+    logger = own_logger(topics=["brace_command"], every=["brace_command=5"])
+    graph.until(lambda: logger.discover() or publisher.get_subscription_count(), "a match")
+    topic = f"{graph.namespace}/brace_command"
+    publisher.publish(BraceCommand(sequence=0))
+    graph.until(lambda: logger.tick() or logger.topics[topic].subscription.kept == 1, "the first")
+    dropped = 23
+    for number in range(1, dropped + raw_subscription.DEPTH + 1):
+        publisher.publish(BraceCommand(sequence=number))
+    assert publisher.wait_for_all_acked()
+    kept = 1 + (dropped + raw_subscription.DEPTH) // 5 - dropped // 5
+    graph.until(lambda: logger.tick() or logger.topics[topic].subscription.kept == kept, "the others")
+    assert logger.topics[topic].subscription.lost == 4, "5, 10, 15, 20"
+    logger.close()
+    found = describe(graph.folder / "bag").contents[topic]
+    assert (found.messages, found.gaps, found.missing, found.lost) == (kept, 1, 4, 4)
+
+
 def test_a_topic_with_two_types_is_a_fault_and_the_others_are_recorded_on(graph, domain):
     bag = graph.folder / "bag"
     graph.start("logger", output=str(bag), topics=["value", "odd"])
@@ -220,19 +271,19 @@ def test_a_message_without_a_valid_time_is_recorded_and_reported_once(graph, own
         for payload, info in taken(*arguments):
             yield payload, {**info, "received_timestamp": -1, "source_timestamp": -2}
 
-    taken = raw_subscription._taken
+    taken, topic = raw_subscription._taken, f"{graph.namespace}/value"
     value = graph.node.create_publisher(Float64, "value", 100)
     logger = own_logger(topics=["value"])
     graph.until(lambda: logger.discover() or value.get_subscription_count(), "a match")
     for first in (0, 5, 10):
         monkeypatch.setattr(raw_subscription, "_taken", without_times if first == 5 else taken)
         publish_numbers(value, range(first, first + 5))
-        graph.until(lambda: logger.tick() or logger.topics[f"{graph.namespace}/value"].count == first + 5, "five")  # noqa: B023
+        graph.until(lambda: logger.tick() or logger.topics[topic].subscription.kept == first + 5, "five")  # noqa: B023
     assert logger.exit_code is None
     assert logger.diagnose()[2]["without a valid time of value"] == 5
     logger.close()
     assert capfd.readouterr().err.count("/value: messages without a valid time") == 1
-    recorded = Bag(graph.folder / "bag").arrays()[f"{graph.namespace}/value"]
+    recorded = Bag(graph.folder / "bag").arrays()[topic]
     assert list(recorded.fields["data"]) == list(range(15))
     assert recorded.log_time[-1] - recorded.log_time[0] < 60e9
 

@@ -80,6 +80,14 @@ MISTAKES = [
         "abrace_bags/logger --ros-args -p output:=b -p 'facts:=[a=1, a=2]'",
         "parameter facts: .*, expected each key once",
     ),
+    (
+        "abrace_bags/logger --ros-args -p output:=b -p every:=[response]",
+        "parameter every: 'response', expected topic=n, one of n messages, as response=5",
+    ),
+    (
+        "abrace_bags/logger --ros-args -p output:=b -p every:=[respons=5]",
+        "parameter every: respons is not among the topics, expected one of .*, did you mean response?",
+    ),
     ("abrace_bags/logger --ros-args -p output:=b -p attachments:=[none.yaml]", "attachment none.yaml: .*"),
     ("abrace_bags/logger --ros-args -p output:=b -p split_duration:=1e300", "parameter split_duration: .*0.0 to.*"),
     ("abrace_plant/check_sensors", "parameters device, bag: expected one of them"),

@@ -14,6 +14,7 @@ from rclpy.serialization import serialize_message
 from rosbags.interfaces import QosDurability
 from std_msgs.msg import String
 
+from abrace import design as design_proven
 from abrace import simulate
 from abrace_bags import DEFAULT_QOS, Bag, BagWriter, message_definition, read_run
 from abrace_bags.nodes.replay import Replay
@@ -78,6 +79,29 @@ def run(new_graph: Callable, controller: Path) -> tuple[Path, str]:
         graph.start("controller", "--params-file", controller)
         graph.run_to_the_end()
         return bag, graph.namespace
+
+
+def test_a_controller_of_a_fifth_of_the_rigs_rate_commands_what_was_simulated(graph: Any, tmp_path: Path) -> None:
+    made = design_proven("ncree_three_storey", "lqg3", sample_period=0.01, force_limit=[LIMIT])
+    made.save(tmp_path / "slower.yaml")
+    bag = graph.folder / "bag"
+    graph.start("logger", output=str(bag), topics=["response", "brace_command", "ground_motion"])
+    lockstep = {"lockstep": True, "wait_for": ["brace_command", "ground_motion"]}
+    graph.start("plant", autostart=False, duration=(SAMPLES + BEFORE) * 0.002, seed=3, **lockstep)
+    graph.start("ground_motion", record="white_noise", duration=SAMPLES * 0.002, rms=0.3, band=[0.5, 10.0])
+    graph.start("controller", "--params-file", tmp_path / "slower.yaml")
+    graph.run_to_the_end()
+    recorded, topics = read_run(bag), Bag(bag).arrays()
+    begin = int(np.argmax(topics[f"{graph.namespace}/response"].fields["state"] == Response.RUNNING))
+    answered = topics[f"{graph.namespace}/brace_command"].fields["sequence"]
+    np.testing.assert_array_equal(answered, np.arange(SAMPLES + BEFORE), "no sample is unanswered")
+    noise = table_noise(SAMPLES, 500.0, (0.5, 10.0), 0.3, 1)
+    simulated = simulate("ncree_three_storey", noise, controller=tmp_path / "slower.yaml", seed=3)
+    for name in ("outputs", "ground_acceleration", "command"):
+        part = getattr(recorded, name)[begin : begin + SAMPLES]
+        np.testing.assert_array_equal(getattr(simulated, name), part, err_msg=name)
+    assert not (np.diff(np.flatnonzero(np.diff(simulated.command[:, 0]))) % 5).any(), "held in between"
+    assert np.abs(simulated.command).max() == LIMIT
 
 
 def text(words: str) -> bytes:

@@ -41,6 +41,9 @@ class InC:
                 ("state", ctypes.c_double * states),
                 ("initial", ctypes.c_double * commands),
                 ("samples", ctypes.c_long),
+                ("held", ctypes.c_long),
+                *((name, ctypes.c_double * commands) for name in ("law", "wanted", "first", "more")),
+                ("next", ctypes.c_double * states),
             )
 
         self._library = ctypes.CDLL(str(library))

@@ -77,7 +77,7 @@ def planted_in_every_node(graph: Any, rig: Path, patience: float) -> dict[str, P
 
     folder, its_rig, rate, none = graph.folder, ["-p", f"rig:={rig}"], load_rig(rig).sample_rate, np.zeros((1, 1))
     law = LinearModel(none, none, none, none, ("a1",), ("U",), 1 / rate)
-    made = Controller("one", law, none, np.zeros((1, 2)), np.array([2e4]), *["none"] * 3)
+    made = Controller("one", law, none, np.zeros((1, 2)), np.array([2e4]), "", "", "")
     save_controller(made, folder / "one.yaml")
     parameters = {
         "plant": its_rig,

@@ -12,7 +12,7 @@ from abrace_bags.metadata import METADATA_FILE
 from abrace_bags.raw import RawMessages
 from abrace_bags.reader import read_arrays, sequence_ranges
 from abrace_bags.run import RESPONSE_TYPE, runs_of
-from abrace_bags.topics import RecordedTopic, Selection, is_end_of
+from abrace_bags.topics import RecordedTopic, Selection, every_of, is_end_of
 from abrace_core import AbraceError
 from abrace_core.files.suggestion import expected_of
 
@@ -144,7 +144,7 @@ class Bag:
             If a name is not in the bag, or matches several topics, or all messages of one asked for are left out.
         """
         selection = Selection(topics, begin, end)
-        found = RawMessages(self.files, selection)
+        found = RawMessages(self.files, selection, self.facts)
         self._check(selection)
         self._compare(selection, {name: one.messages for name, one in found.contents.items()})
         warnings = list(self.warnings)
@@ -199,7 +199,10 @@ class Bag:
                 raise AbraceError(f"{self.path}: topic {name} can't be read: {why}")
             self._warn([f"{self.path}: topic {name} is left out: {why}"])
         if self.uncounted:
-            self._warn(f"{self.path}: {missing_messages(name, sequence_ranges(one))}" for name, one in found.items())
+            self._warn(
+                f"{self.path}: {missing_messages(name, sequence_ranges(one, every_of(self.facts, name)))}"
+                for name, one in found.items()
+            )
         return found
 
     def run(self, topic: str | None = None) -> Run:
@@ -213,7 +216,8 @@ class Bag:
         Returns
         -------
         Run
-            Its facts are those of the bag; its `warnings`, if there are any, are among them.
+            Its facts are those of the bag; its `warnings`, if there are any, are among them, and `every` where of so
+            many samples one was recorded: it then has the numbers and the period of these alone.
 
         Raises
         ------
@@ -223,8 +227,9 @@ class Bag:
         parts = self._runs(topic)
         runs = [run for part in parts for run in part]
         if len(runs) > 1:
-            before, after = int(runs[0].sequence[-1]), int(runs[1].sequence[0])
-            why = f"sample {before} is followed by sample {after}, expected {before + 1}"
+            every = runs[0].facts.get("every", 1)
+            before, after = every * int(runs[0].sequence[-1]), every * int(runs[1].sequence[0])
+            why = f"sample {before} is followed by sample {after}, expected {before + every}"
             if len(parts[0]) == 1:
                 why = f"sample {before} is followed by sample {after} of another run (the rig was activated again)"
             raise AbraceError(f"{self.path}: {why}{in_brackets(self.warnings)}")
@@ -253,7 +258,7 @@ class Bag:
             raise AbraceError(f"{self.path}: {asked} of type {RESPONSE_TYPE} in it{in_brackets(self.warnings)}")
         response = self.arrays(named)[named[0]]
         try:
-            return runs_of(str(self.path), response, self.facts, self.warnings)
+            return runs_of(str(self.path), response, self.facts, self.warnings, every_of(self.facts, named[0]))
         except AbraceError as error:
             raise AbraceError(f"{self.path}: topic {named[0]}: {error}{in_brackets(self.warnings)}") from error
 

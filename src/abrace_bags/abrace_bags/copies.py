@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from abrace_bags.bag import COPY_RECORD, Bag, in_brackets, missing_messages
 from abrace_bags.mcap.contents import recorded_contents
+from abrace_bags.topics import EVERY, every_of
 from abrace_bags.writer import WRITTEN_RECORDS, BagWriter
 from abrace_core import AbraceError
 from abrace_core.files.writing import make_folder, move
@@ -124,8 +125,8 @@ def merge(output: Path | str, bags: Sequence[Path | str]) -> CopiedBag:
     Raises
     ------
     AbraceError
-        If there is no such bag, one is named twice, a topic has several types, there is no message, or the new bag
-        can't be written.
+        If there is no such bag, one is named twice, a topic has several types or was recorded with another `every`,
+        there is no message, or the new bag can't be written.
     """
     paths = [Path(bag).resolve() for bag in bags]
     for bag, path in zip(bags, paths, strict=True):
@@ -151,7 +152,7 @@ def _write(
     """
     bags = dict(zip(_labels([opened.path for opened in found]), found, strict=True))
     warnings = [*(warning for one in found.values() for warning in one.warnings), *missing]
-    facts = _joined({label: opened.facts for label, opened in bags.items()})
+    facts = _joined({label: _facts(opened, found[opened]) for label, opened in bags.items()})
     records = _joined(
         {
             label: {name: texts for name, texts in opened.metadata.items() if name not in _NOT_COPIED}
@@ -204,6 +205,12 @@ def _joined(
     return joined
 
 
+def _facts(opened: Bag, messages: RawMessages) -> dict[str, str]:
+    """The facts of a bag, but of topics of which it has no `messages`."""
+    others = {name for name in opened.facts if name.startswith(EVERY)} - {EVERY + name for name in messages.topics}
+    return {name: text for name, text in opened.facts.items() if name not in others}
+
+
 def _attachments(opened: Bag, warnings: list[str]) -> dict[str, StoredAttachment]:
     """The attachments of a bag that can be read, by their names; of others there are `warnings`."""
     readable: dict[str, StoredAttachment] = {}
@@ -225,9 +232,15 @@ def _is_same_file(one: StoredAttachment, other: StoredAttachment) -> bool:
 def _topics(found: Mapping[Bag, RawMessages]) -> dict[str, RecordedTopic]:
     """The topics of all bags, with the QoS of all their publishers."""
     topics: dict[str, RecordedTopic] = {}
+    kept: dict[str, int] = {}
     for opened, one in found.items():
         for name, topic in one.topics.items():
-            known = topics.get(name, topic)
+            known, every = topics.get(name, topic), every_of(opened.facts, name)
+            if kept.setdefault(name, every) != every:
+                raise AbraceError(
+                    f"{opened.path}: topic {name}: one of {every} messages, expected one of {kept[name]} as in the "
+                    "bags before it"
+                )
             joined = known.joined(topic)
             if joined is None:
                 types = f"{topic.type_name} is not the {known.type_name} of the bags before it"

@@ -95,7 +95,8 @@ def response_topic(bag: RawMessages) -> str:
     Raises
     ------
     AbraceError
-        If there is not exactly one topic of responses, it has no message, or the answers are to be replayed as well.
+        If there is not exactly one topic of responses, it has no message or not every one, or the answers are to be
+        replayed as well.
     """
     found = [name for name, topic in bag.topics.items() if topic.type_name == RESPONSE_TYPE]
     if len(found) != 1:
@@ -111,6 +112,11 @@ def response_topic(bag: RawMessages) -> str:
         )
     if not bag.contents[found[0]].messages:
         raise AbraceError(f"parameter lockstep: no message of {found[0]} in the part to replay, expected some")
+    if (every := bag.contents[found[0]].every) > 1:
+        raise AbraceError(
+            f"parameter lockstep: of {every} samples of {found[0]} one was recorded, expected all: a controller would "
+            "take the others for lost"
+        )
     return found[0]
 
 

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from abrace_bags.mcap.contents import TopicContent
+from abrace_bags.topics import every_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from abrace_bags.mcap.bag_file import BagFile
     from abrace_bags.mcap.chunk import Messages
@@ -32,10 +33,10 @@ class RawMessage(NamedTuple):
 
 
 class RawMessages:
-    """The messages of a `selection` in the `files` of a bag. Iterating gives them in the order of their log times.
+    """The messages of a `selection` in the `files` of a bag with these `facts`.
 
-    Those of one time come in the order in which they were written; a log time never steps back. Each iteration begins
-    anew.
+    Iterating gives them in the order of their log times. Those of one time come in the order in which they were
+    written; a log time never steps back. Each iteration begins anew.
 
     Attributes
     ----------
@@ -51,8 +52,8 @@ class RawMessages:
         What is missing or can't be trusted, one sentence each.
     """
 
-    def __init__(self, files: Sequence[BagFile], selection: Selection) -> None:
-        self._files, self._selection = files, selection
+    def __init__(self, files: Sequence[BagFile], selection: Selection, facts: Mapping[str, str]) -> None:
+        self._files, self._selection, self._facts = files, selection, facts
         self._places: list[tuple[array[int], array[int]]] = []
         self.topics: dict[str, RecordedTopic] = selection.topics
         self.contents: dict[str, TopicContent] = {}
@@ -101,7 +102,7 @@ class RawMessages:
 
     def _content(self, channel: RecordedTopic) -> TopicContent:
         if channel.name not in self.contents:
-            self.contents[channel.name] = TopicContent.of(channel.definition)
+            self.contents[channel.name] = TopicContent.of(channel.definition, every_of(self._facts, channel.name))
         return self.contents[channel.name]
 
     def _add(self, file: BagFile, messages: Messages) -> None:

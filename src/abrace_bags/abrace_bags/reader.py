@@ -203,11 +203,11 @@ def sequence_in(fields: Mapping[str, NDArray[Any]]) -> NDArray[Any] | None:
     return sequence
 
 
-def sequence_ranges(messages: TopicArrays) -> NumberRanges | None:
-    """The numbers of `messages`; None where they have none."""
+def sequence_ranges(messages: TopicArrays, every: int) -> NumberRanges | None:
+    """The numbers of `messages`, of which one of `every` was to be recorded; None where they have none."""
     sequence = sequence_in(messages.fields)
     if sequence is None:
         return None
-    ranges = NumberRanges()
+    ranges = NumberRanges(every)
     ranges.add(sequence)
     return ranges

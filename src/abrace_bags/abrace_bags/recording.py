@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import contextlib
+import struct
 import threading
 import time
 from collections import Counter
 from typing import TYPE_CHECKING
 
+from abrace_bags.mcap.contents import is_numbered
 from abrace_core import AbraceError
 from abrace_core.safety.wire import read_header
 
@@ -33,6 +35,7 @@ SAMPLE_TYPES = (
 """Messages of the control loop, whose stamps are the times of the rig's samples."""
 _WRITTEN_AT_ONCE = 4 * 1024 * 1024
 """Waiting bytes that wake the thread before the next flush."""
+_NUMBER = struct.Struct("<Q")
 _OVERHEAD = 200
 """Bytes of memory that a waiting message takes in addition to its own."""
 
@@ -228,6 +231,50 @@ class Recording:
             except AbraceError:
                 self.untimed[topic_id] += 1
         return self._sample_time
+
+
+class EveryNth:
+    """Keeps one of `every` messages of a topic: those whose number it divides.
+
+    That is the `sequence` of messages that begin with a header and one, by the `definition` (.msg) of their type;
+    others are counted from 0 on. A message that has no number where it is expected is kept.
+    """
+
+    def __init__(self, every: int, definition: str) -> None:
+        self._every = every
+        self._numbered = is_numbered(definition)
+        self._last = -1
+
+    def add(self, payload: bytes, missing: int) -> tuple[bool, int]:
+        """Whether the message of a `payload` is kept, and how many of the `missing` just before it would have been."""
+        number = self._last + 1 + missing
+        if self._numbered:
+            try:
+                (number,) = _NUMBER.unpack_from(payload, read_header(payload).offset)
+            except (AbraceError, struct.error):
+                return True, missing
+        last, self._last = self._last, number
+        between = (number - 1) // self._every - last // self._every if number > last else 0
+        return number % self._every == 0, min(missing, between)
+
+
+def parse_every(texts: Sequence[str]) -> dict[str, int]:
+    """Of how many messages of a topic one is to be kept, by its name as given, from `texts` of the form topic=n.
+
+    Raises
+    ------
+    AbraceError
+        If a text is not of this form, or a topic comes twice.
+    """
+    found: dict[str, int] = {}
+    for text in texts:
+        topic, _, number = text.rpartition("=")
+        if not topic or not (number.isascii() and number.isdecimal()) or int(number) < 1:
+            raise AbraceError(f"parameter every: {text!r}, expected topic=n, one of n messages, as response=5")
+        if topic in found:
+            raise AbraceError(f"parameter every: {texts}, expected each topic once")
+        found[topic] = int(number)
+    return found
 
 
 def parse_facts(texts: Sequence[str]) -> dict[str, str]:

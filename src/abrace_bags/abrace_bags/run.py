@@ -34,7 +34,9 @@ _MOST_TOLD = 3
 """Faults of stamps that are named; of more the number."""
 
 
-def runs_of(source: str, response: TopicArrays, facts: Mapping[str, str], warnings: Sequence[str]) -> list[list[Run]]:
+def runs_of(
+    source: str, response: TopicArrays, facts: Mapping[str, str], warnings: Sequence[str], every: int = 1
+) -> list[list[Run]]:
     """The runs of each time that the rig was activated; in one none of its samples is missing.
 
     Parameters
@@ -45,6 +47,8 @@ def runs_of(source: str, response: TopicArrays, facts: Mapping[str, str], warnin
         The samples.
     facts, warnings
         Of the bag; both become facts of each run, with what is missing between the runs.
+    every
+        Of so many samples one was to be recorded.
 
     Raises
     ------
@@ -61,8 +65,12 @@ def runs_of(source: str, response: TopicArrays, facts: Mapping[str, str], warnin
     if "run" in response.fields:
         again |= np.diff(response.fields["run"]) != 0
     activated = [0, *(np.flatnonzero(again) + 1).tolist(), sequence.size]
-    bounds = [0, *(np.flatnonzero(again | (np.diff(sequence) != 1)) + 1).tolist(), sequence.size]
-    period, note, faults = _sample_period(response, facts)
+    bounds = [0, *(np.flatnonzero(again | (np.diff(sequence) != every)) + 1).tolist(), sequence.size]
+    of_rig, note, faults = _sample_period(response, facts)
+    period = every * of_rig
+    if every > 1:
+        folded = f"motion above {0.5 / period:g} Hz is folded into what is below"
+        note = [*note, f"{source}: one of {every} samples was recorded, without a filter: {folded}"]
     runs = []
     for number, (begin, end) in enumerate(itertools.pairwise(activated), start=1):
         name = f"{source}, run {number} of {len(activated) - 1}" if len(activated) > 2 else source
@@ -74,22 +82,24 @@ def runs_of(source: str, response: TopicArrays, facts: Mapping[str, str], warnin
             if told:
                 more = [f"and {len(told) - _MOST_TOLD} more"] if len(told) > _MOST_TOLD else []
                 wrong = "; ".join([*told[:_MOST_TOLD], *more])
-                found.append(f"{name}: {wrong}; the sample rate by all stamps is {1 / period:.6g} Hz")
+                found.append(f"{name}: {wrong}; the sample rate by all stamps is {1 / of_rig:.6g} Hz")
             if len(edges) > 2:
                 span = f"samples {sequence[first]} to {sequence[last - 1]} are used, {(last - first) * period:g} s of"
-                found.append(f"{name}: {_gaps(sequence, edges, period)}; {span} {(end - begin) * period:g}")
+                found.append(f"{name}: {_gaps(sequence, edges, every, period)}; {span} {(end - begin) * period:g}")
             of_piece: dict[str, Any] = dict(facts)
             if found:
                 of_piece["warnings"] = found
-            pieces.append(_run(name, _part(response, first, last), period, of_piece))
+            if every > 1:
+                of_piece["every"] = every
+            pieces.append(_run(name, _part(response, first, last), period, every, of_piece))
         runs.append(pieces)
     return runs
 
 
-def _gaps(sequence: NDArray[np.uint64], edges: list[int], period: float) -> str:
+def _gaps(sequence: NDArray[np.uint64], edges: list[int], every: int, period: float) -> str:
     """What is missing in a run, of which a piece begins at each of the `edges` but the last."""
     before, after = int(sequence[edges[1] - 1]), int(sequence[edges[1]])
-    missing = after - before - 1
+    missing = (after - before) // every - 1
     more = f" and {len(edges) - 3} more" if len(edges) > 3 else ""
     return f"a gap after sample {before} ({missing} samples, {missing * period:g} s){more}"
 
@@ -103,7 +113,7 @@ def _part(response: TopicArrays, begin: int, end: int) -> TopicArrays:
     )
 
 
-def _run(source: str, response: TopicArrays, period: float, facts: dict[str, Any]) -> Run:
+def _run(source: str, response: TopicArrays, period: float, every: int, facts: dict[str, Any]) -> Run:
     sequence = response.fields["sequence"]
     values = {name: _measured(name, response.fields[name], sequence) for name in (*_VECTORS, "ground_acceleration")}
     for names in (_FLOORS, _GROUPS):
@@ -124,7 +134,7 @@ def _run(source: str, response: TopicArrays, period: float, facts: dict[str, Any
     return Run(
         source=source,
         sample_period=period,
-        sequence=sequence,
+        sequence=sequence // every,
         floors=floors,
         groups=groups,
         outputs=np.column_stack([others[:, ~np.isnan(others[0])], *forces]),

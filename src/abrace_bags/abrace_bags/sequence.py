@@ -13,9 +13,13 @@ if TYPE_CHECKING:
 
 
 class SequenceCounter:
-    """Counts the numbers that a stream of messages leaves out; a number that does not rise begins a new run, no gap."""
+    """Counts the numbers that a stream of messages leaves out; a number that does not rise begins a new run, no gap.
 
-    def __init__(self) -> None:
+    `every`: of so many numbers one is kept, that which it divides; the others are not missing.
+    """
+
+    def __init__(self, every: int = 1) -> None:
+        self._every = every
         self.sequence = -1
         """Number of the last message; -1: none yet."""
         self.gaps = 0
@@ -28,7 +32,7 @@ class SequenceCounter:
         last, self.sequence = self.sequence, number
         if last < 0 or number <= last:
             return -1
-        missing = number - last - 1
+        missing = (number - last - 1) // self._every
         if missing:
             self.gaps += 1
             self.missing += missing
@@ -47,10 +51,11 @@ def breaks(sequence: NDArray[Any]) -> NDArray[np.intp]:
 class NumberRanges:
     """The numbers of recorded messages as ranges without a gap, from arrays that come one after the other.
 
-    Neither order nor repeated numbers matter: several runs count as one.
+    Neither order nor repeated numbers matter: several runs count as one. `every` is as of `SequenceCounter`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, every: int = 1) -> None:
+        self._every = every
         self._ranges: list[tuple[int, int]] = []
         self._most = 1000
 
@@ -58,7 +63,7 @@ class NumberRanges:
         """Add the `sequence` (messages,) of some messages."""
         if not sequence.size:
             return
-        numbers = np.unique(sequence)
+        numbers = np.unique(sequence // self._every)
         ends = np.append(breaks(numbers), numbers.size - 1)
         begins = np.append(0, ends[:-1] + 1)
         for first, last in zip(numbers[begins].tolist(), numbers[ends].tolist(), strict=True):
@@ -83,7 +88,7 @@ class NumberRanges:
     def ranges(self) -> list[tuple[int, int]]:
         """First and last number of each range, in order."""
         self._join()
-        return self._ranges
+        return [(first * self._every, last * self._every) for first, last in self._ranges]
 
     @property
     def gaps(self) -> int:
@@ -93,7 +98,7 @@ class NumberRanges:
     @property
     def missing(self) -> int:
         """Numbers missing in them."""
-        return sum(after - before - 1 for (_, before), (after, _) in itertools.pairwise(self.ranges))
+        return sum((after - before) // self._every - 1 for (_, before), (after, _) in itertools.pairwise(self.ranges))
 
 
 def clock_was_set_back(time: NDArray[Any], sequence: NDArray[Any]) -> bool:

@@ -12,9 +12,12 @@ from abrace_bags.qos import combined_qos, parse_qos
 from abrace_core import AbraceError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping
 
     from rosbags.interfaces import Qos
+
+EVERY = "every of "
+"""Begin of the fact that says of how many messages of a topic one was recorded; the topic's whole name follows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +129,12 @@ class Selection:
             return False
         self.topics[name] = joined
         return True
+
+
+def every_of(facts: Mapping[str, str], topic: str) -> int:
+    """Of how many messages of a `topic`, by its whole name, one was recorded, as a bag's `facts` say; 1: all."""
+    text = facts.get(EVERY + topic, "")
+    return max(int(text), 1) if text.isdecimal() else 1
 
 
 def is_end_of(asked: str, name: str) -> bool:

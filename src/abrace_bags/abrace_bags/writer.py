@@ -23,6 +23,7 @@ from abrace_bags.mcap.records import (
 )
 from abrace_bags.metadata import METADATA_FILE, bag_information, time_span, yaml_text
 from abrace_bags.qos import DEFAULT_QOS, in_words
+from abrace_bags.topics import every_of
 from abrace_core import AbraceError
 from abrace_core.files.writing import make_folder, write_text
 
@@ -56,7 +57,8 @@ class BagWriter:
     directory
         The bag: a directory that does not exist yet.
     facts
-        Of the run, by name: rig, controller, record. Written first in each file.
+        Of the run, by name: rig, controller, record; `every of TOPIC` (`topics.EVERY`) where of so many messages one
+        is written. Written first in each file.
     records
         Further metadata records by name, texts by key: versions, parameters.
     attachments
@@ -180,7 +182,10 @@ class BagWriter:
             raise self._error(f"topic {name}: the descriptions of all topics are too large for a bag")
         self._room -= taken
         self._topics[topic_id] = WrittenTopic(
-            schema=schema, channel=channel, profiles=profiles, content=TopicContent.of(definition_text)
+            schema=schema,
+            channel=channel,
+            profiles=profiles,
+            content=TopicContent.of(definition_text, every_of(self._facts, name)),
         )
         if new:
             self._schemas[described] = schema

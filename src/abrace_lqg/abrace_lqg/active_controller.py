@@ -4,6 +4,9 @@
 A fade follows half a cosine: at activation and after a fault from the force that is applied then, in a change from the
 command of the law in use to that of the incoming law. Both estimates are updated with the same samples and with the
 force that is really applied, a mixture of both commands, so that neither has a transient when the fade ends.
+
+A controller whose sample period is n of the rig's answers samples 0, n, 2n, ... from where it begins on; in between its
+command is held. Its estimates take the mean of the force that was applied until the next one.
 """
 
 from __future__ import annotations
@@ -37,22 +40,36 @@ class ActiveController:
         The first controller.
     ramp_time
         Duration of a fade [s].
+    rig_period
+        Sample period of the rig [s]; 0: that for which the controller was made.
 
     Attributes
     ----------
     controller
         The controller in use or, during a change, the incoming one.
+    rig_period
+        Sample period of the rig [s].
+
+    Raises
+    ------
+    AbraceError
+        If the controller is for a rig of another sample period.
     """
 
-    def __init__(self, controller: Controller, ramp_time: float) -> None:
+    def __init__(self, controller: Controller, ramp_time: float, rig_period: float = 0.0) -> None:
         self.controller = controller
+        self.rig_period = rig_period or controller.rig_period
+        self._samples = controller.of_rig(self.rig_period)
+        self._until_next = 0
+        self._applied: list[list[float]] = []
+        self._stepped: tuple[ControlLaw | None, ...] = ()
         self._period = controller.law.sample_period
         steps = round(ramp_time / self._period)
         self._fade = [(1 - math.cos(math.pi * j / steps)) / 2 for j in range(1, steps)]
         self._names: tuple[str, ...] = ()
         self._law: ControlLaw | None = None
         self._incoming: ControlLaw | None = None
-        self._initial_force = np.zeros(len(controller.law.outputs))
+        self._initial_force = self._command = np.zeros(len(controller.law.outputs))
         self._settling_left = self._fade_step = 0
 
     @property
@@ -85,6 +102,7 @@ class ActiveController:
         incoming = ControlLaw(self.controller, names)
         self._names, self._law, self._incoming = tuple(names), None, incoming
         self._initial_force, self._settling_left, self._fade_step = np.array(force), 0, 0
+        self._until_next, self._applied, self._stepped = 0, [], ()
 
     def prepare_change(self, controller: Controller) -> Callable[[], None]:
         """What changes over to another `controller` by a fade, after SETTLING_TIME; nothing is changed before.
@@ -92,7 +110,7 @@ class ActiveController:
         Raises
         ------
         AbraceError
-            If no controller is in use yet, a change is under way, or the controller is for another rig.
+            If no controller is in use yet, a change is under way, or the controller is for another rig or another rate.
         """
         current = self.controller
         if self._law is None or self._incoming is not None:
@@ -107,6 +125,7 @@ class ActiveController:
                 f"controller {controller.name}: {', '.join(law.outputs)} within {controller.force_limit.tolist()} N, "
                 f"expected {', '.join(current.law.outputs)} within {current.force_limit.tolist()} N as {current.name}"
             )
+        controller.of_rig(self.rig_period)
         incoming = ControlLaw(controller, self._names)
 
         def change() -> None:
@@ -141,11 +160,22 @@ class ActiveController:
         NDArray
             (commands,) [N], valid until the next call.
         """
-        law, incoming = self._law, self._incoming
         if lost:
-            for one in (law, incoming):
-                if one is not None:
-                    one.bridge(lost)
+            self._bridge(lost)
+        if self._until_next:
+            self._until_next -= 1
+            return self._command
+        self._advance()
+        self._until_next = self._samples - 1
+        self._command = self._answer(values)
+        if self._until_next:
+            self._command = self._command.copy()
+        self._stepped = self._law, self._incoming
+        return self._command
+
+    def _answer(self, values: Sequence[float]) -> NDArray[np.float64]:
+        """The force wanted in answer to a sample that the controller answers."""
+        law, incoming = self._law, self._incoming
         before = self._initial_force if law is None else law.update(values)
         if incoming is None:
             return before
@@ -162,10 +192,35 @@ class ActiveController:
 
     def advance(self, force: list[float]) -> None:
         """Advance the estimates to the next sample, `force` (commands,) [N] being applied; once after each `force`."""
-        if self._law is not None:
-            self._law.advance(force)
-        if self._incoming is not None:
-            self._incoming.advance(force)
+        self._applied.append(force)
+        if len(self._applied) == self._samples:
+            self._advance()
+
+    def _advance(self) -> None:
+        """Advance the estimates that have answered to the controller's next sample, by the mean of what was applied."""
+        if self._applied:
+            force = self._applied[0]
+            if len(self._applied) > 1:
+                count, columns = len(self._applied), zip(*self._applied, strict=True)
+                force = [first + sum(one - first for one in (first, *more)) / count for first, *more in columns]
+            for one in self._stepped:
+                if one is not None:
+                    one.advance(force)
+            self._applied = []
+        self._stepped = ()
+
+    def _bridge(self, lost: int) -> None:
+        """Go on over `lost` samples; those of them that the controller answers are bridged by its estimates."""
+        beyond = lost - self._until_next
+        if beyond <= 0:
+            self._until_next = -beyond
+            return
+        self._advance()
+        answered = -(-beyond // self._samples)
+        self._until_next = answered * self._samples - beyond
+        for one in (self._law, self._incoming):
+            if one is not None:
+                one.bridge(answered)
 
     def innovation_rms(self) -> dict[str, float]:
         """Rms of the innovation by name of the measured quantity; of the incoming law if none is in use yet."""

@@ -3,7 +3,7 @@
 
 The design model is the given one with its commands delayed, by Pade's approximation, by the whole delay from a sample
 to the effect of its command: one sample of computation, half a sample of hold, and the model's own input delay (the
-servo's).
+servo's). Where the controller answers every n-th sample of its rig, that is one sample of the rig, and half of its own.
 
 Regulator and Kalman filter are those of `riccati`; together they are Eq. (12).
 
@@ -22,9 +22,10 @@ from scipy import linalg
 
 from abrace_core import AbraceError
 from abrace_core.model import signals
+from abrace_core.model.lifting import divisor
 from abrace_core.model.linear_model import LinearModel, balanced, takes_models
 from abrace_core.model.si_units import in_si_units
-from abrace_lqg.loop import is_stable
+from abrace_lqg.loop import is_stable, sampled
 from abrace_lqg.riccati import kalman, regulator
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ class ControllerDesign:
         (commands, states): U = -K q.
     filter_gain
         (states, measured): the Kalman filter's L.
+    rig_period
+        Sample period of the rig [s], of which the controller's is a whole multiple.
     """
 
     controller: LinearModel
@@ -63,10 +66,13 @@ class ControllerDesign:
     regulator_gain: NDArray[np.float64]
     filter_gain: NDArray[np.float64]
     weights: Weights
+    rig_period: float
 
 
 @takes_models
-def design(model: LinearModel, weights: Weights, sample_period: float) -> ControllerDesign:
+def design(
+    model: LinearModel, weights: Weights, sample_period: float, rig_period: float | None = None
+) -> ControllerDesign:
     """Design the controller of Eqs. (11) to (13).
 
     Parameters
@@ -78,6 +84,8 @@ def design(model: LinearModel, weights: Weights, sample_period: float) -> Contro
         Weights, measured quantities and noise.
     sample_period
         Sample period of the controller [s].
+    rig_period
+        Sample period of the rig [s], where the controller answers every n-th of its samples; None: it answers all.
 
     Returns
     -------
@@ -86,8 +94,9 @@ def design(model: LinearModel, weights: Weights, sample_period: float) -> Contro
     Raises
     ------
     AbraceError
-        If the model lacks a disturbance, commands or weighed signals, a signal has a unit that cannot be
-        converted, a Riccati equation has no accurate stabilising solution, or the closed loop is not stable.
+        If the model lacks a disturbance, commands or weighed signals, a signal has a unit that cannot be converted, the
+        sample period is no whole multiple of the rig's, a Riccati equation has no accurate stabilising solution, or the
+        closed loop is not stable.
     """
     model = in_si_units(model)
     if model.sample_period or signals.GROUND in model.inputs[1:] or len(model.inputs) < 2:
@@ -97,11 +106,13 @@ def design(model: LinearModel, weights: Weights, sample_period: float) -> Contro
         )
     if not (sample_period > 0 and np.isfinite(sample_period)):
         raise AbraceError(f"design: sample_period {sample_period} s, expected more than zero")
+    rig_period = rig_period or sample_period
+    divisor(sample_period, rig_period)
     commands = model.inputs[1:]
     if weights.scale is not None:
         raise AbraceError("design: weights with a scale, expected those that `scaled_weights` makes of them for a rig")
     weights = weights.of(model.outputs, commands)
-    plant = balanced(delayed(model, sample_period))
+    plant = balanced(delayed(model, sample_period, rig_period))
     b, e = plant.b[:, 1:], plant.b[:, :1]
     names, combined = weights.weighed(plant.outputs)
     q, r = np.diag(weights.diagonal(names)), np.diag(weights.of_commands(commands))
@@ -123,21 +134,22 @@ def design(model: LinearModel, weights: Weights, sample_period: float) -> Contro
         tustin(continuous, sample_period),
         provenance={"method": "LQG", "weights": weights.model_dump(), "model": model.provenance, "order": model.order},
     )
-    if not is_stable(model, controller):
+    if not is_stable(sampled(model, rig_period), controller):
         raise AbraceError("design: the closed loop with its own model is not stable, expected other weights or model")
     correction, prediction = observer(measured, injection, sample_period)
-    return ControllerDesign(controller, correction, prediction, continuous, plant, gain, injection, weights)
+    return ControllerDesign(controller, correction, prediction, continuous, plant, gain, injection, weights, rig_period)
 
 
 @takes_models
-def delayed(model: LinearModel, sample_period: float) -> LinearModel:
-    """The model with each command delayed by 1.5 sample periods and its input delay, as states.
+def delayed(model: LinearModel, sample_period: float, rig_period: float) -> LinearModel:
+    """The model with each command delayed as states: by a sample of the rig, half one of the controller, its own delay.
 
-    `sample_period` [s] is the controller's.
+    Their periods [s] are `rig_period` and `sample_period`.
     """
     if model.input_delay[0]:
         raise AbraceError(f"design: input {model.inputs[0]} with a delay of {model.input_delay[0]} s, expected none")
-    later = tuple(1.5 * sample_period + delay for delay in model.input_delay[1:])
+    sooner = sample_period - rig_period
+    later = tuple(1.5 * sample_period - sooner + delay for delay in model.input_delay[1:])
     return replace(model, input_delay=(0.0, *later)).delays_as_states()
 
 

@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sampled loop of a model and a controller: closed, as one model, or broken at one signal, over frequency.
 
-The timing is that of the rig: the command computed from sample k is in force from sample k+1 to k+2, held. The loop is
-broken at one signal, a command at the plant's input U or a measured quantity, while the others stay closed. Its
-transfer function is that of the discrete models, exact at every frequency below half the sampling rate, with the
+The timing is that of the rig: the command computed from sample k is in force from sample k+1 to k+2, held. A controller
+whose sample period is n of a discrete model's answers every n-th sample, its command in force from sample k+1 to k+n+1:
+what follows is then of the lifted model, from one of the controller's samples to the next, and its poles are those of
+the monodromy matrix.
+
+The loop is broken at one signal, a command at the plant's input U or a measured quantity, while the others stay closed.
+Its transfer function is that of the discrete models, exact at every frequency below half the sampling rate, with the
 computational delay of one sample. With S = 1/(1 + L) the diagonal entry of the sensitivity that belongs to that signal
 and T = 1 - S the complementary sensitivity, L = T/(1 - T) (Skogestad and Postlethwaite 2005, ch. 2).
 """
@@ -16,6 +20,7 @@ import numpy as np
 
 from abrace_core import AbraceError
 from abrace_core.model.discretization import discretize, holds_of
+from abrace_core.model.lifting import divisor, lifted
 from abrace_core.model.linear_model import LinearModel, pole_table, takes_models
 from abrace_core.model.si_units import in_si_units
 
@@ -44,13 +49,34 @@ def sampled(model: LinearModel, sample_period: float) -> LinearModel:
 
 
 @takes_models
+def at_rate(model: LinearModel, controller: LinearModel) -> LinearModel:
+    """The `model` in SI units: continuous, `sampled` as the `controller`; discrete, of its own sample period.
+
+    That of the controller is the same or a whole multiple.
+    """
+    if not model.sample_period:
+        return sampled(model, controller.sample_period)
+    divisor(controller.sample_period, model.sample_period)
+    return in_si_units(model)
+
+
+@takes_models
+def seen_by(plant: LinearModel, controller: LinearModel) -> LinearModel:
+    """A discrete `plant` from one sample of the `controller` to the next (`lifted`), its commands the last inputs."""
+    external = tuple(name for name in plant.inputs if name not in controller.outputs)
+    samples = divisor(controller.sample_period, plant.sample_period)
+    return lifted(plant.select(inputs=(*external, *controller.outputs)), len(controller.outputs), samples)
+
+
+@takes_models
 def closed_loop(model: LinearModel, controller: LinearModel) -> LinearModel:
     """The discrete loop from the remaining inputs (of a rig the ground acceleration) to the outputs and the commands.
 
     Parameters
     ----------
     model
-        Continuous, or discrete at the controller's sample period; its signals are converted to SI units.
+        Continuous, or discrete at the controller's sample period or a whole part of it; its signals are converted to SI
+        units.
     controller
         Discrete, from some of the model's outputs to some of its inputs (Eq. 13); likewise.
 
@@ -58,15 +84,15 @@ def closed_loop(model: LinearModel, controller: LinearModel) -> LinearModel:
     -------
     LinearModel
         States: the model's, the controller's, the commands in force. The command at sample k is the one in force from
-        that sample to the next.
+        that sample to the next. With a slower controller each other input and each output come once for each sample, as
+        `lifted` has them.
     """
     import control
 
     controller = in_si_units(controller)
     period, commands = controller.sample_period, len(controller.outputs)
-    plant = sampled(model, period)
-    external = tuple(name for name in plant.inputs if name not in controller.outputs)
-    plant = plant.select(inputs=(*external, *controller.outputs))
+    plant = seen_by(at_rate(model, controller), controller)
+    external = plant.inputs[: len(plant.inputs) - commands]
     measured = plant.select(controller.inputs)
     in_force = np.eye(commands, len(plant.inputs), len(external))
     none, eye = np.zeros((commands, commands)), np.eye(commands)
@@ -92,7 +118,7 @@ def open_loop(model: LinearModel, controller: LinearModel, broken_at: str) -> Li
         A command or a measured quantity: its name is that of the input, and of the output, which is turned in sign so
         that the loop is on the edge of stability where L = -1.
     """
-    plant, controller = sampled(model, controller.sample_period), in_si_units(controller)
+    plant, controller = at_rate(model, controller), in_si_units(controller)
     signals = (*controller.outputs, *controller.inputs)
     if broken_at not in signals:
         raise AbraceError(f"loop broken at {broken_at!r}: expected one of {', '.join(signals)}")
@@ -141,7 +167,7 @@ class Loop:
 
     @takes_models
     def __init__(self, model: LinearModel, controller: LinearModel) -> None:
-        whole, controller = sampled(model, controller.sample_period), in_si_units(controller)
+        whole, controller = seen_by(at_rate(model, controller), controller), in_si_units(controller)
         self._plant, self._controller = whole.select(controller.inputs, controller.outputs), controller
         self.sample_period = controller.sample_period
         self.signals = (*controller.outputs, *controller.inputs)

@@ -40,7 +40,12 @@ ACCURATE = 0.02
 
 @takes_models
 def scaled_weights(
-    model: LinearModel, weights: Weights, sample_period: float, force_limit: Sequence[float], excitation: Excitation
+    model: LinearModel,
+    weights: Weights,
+    sample_period: float,
+    force_limit: Sequence[float],
+    excitation: Excitation,
+    rig_period: float | None = None,
 ) -> Weights:
     """The weights in SI units, for one rig and its names; without a scale only names with a wildcard are expanded.
 
@@ -56,6 +61,8 @@ def scaled_weights(
         (commands,) [N].
     excitation
         The disturbance, under which reduction and force are predicted.
+    rig_period
+        As in `design`.
 
     Raises
     ------
@@ -73,7 +80,7 @@ def scaled_weights(
     weights = weights.of(model.outputs, commands)
     if weights.scale is None:
         return weights
-    plant = sampled(model, sample_period)
+    plant = sampled(model, rig_period or sample_period)
     names, rows = weights.weighed(model.outputs)
     seen = LinearModel(plant.a, plant.b, rows @ plant.c, rows @ plant.d, plant.inputs, names, plant.sample_period)
     without = predicted_rms(seen, None, excitation)
@@ -100,7 +107,7 @@ def scaled_weights(
         return weights.model_copy(update=changed)
 
     def reached(power: float) -> float:
-        controller = design(model, with_factor(power), sample_period).controller
+        controller = design(model, with_factor(power), sample_period, rig_period).controller
         rms = predicted_rms(plant, controller, excitation)
         if weights.scale is not None and weights.scale.reduction is not None:
             return 1 - float(np.mean([rms[name] / without[name] for name in floors]))

@@ -61,7 +61,7 @@ class LawNode(BraceCommander):
     def force(self, sequence: int, z: tuple[float, ...], lost: int) -> np.ndarray:
         """The law's force; an error in the law is a fault, after which the command is zero."""
         try:
-            return np.array(self.guarded.force(sequence, z, lost))
+            return np.array(self.guarded.force(sequence, z, self.responses.command, lost))
         except AbraceError as error:
             self.safety.fault(str(error))
             return self.nothing

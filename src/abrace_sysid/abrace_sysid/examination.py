@@ -66,8 +66,10 @@ def prepared(test: Test, bands: Mapping[str, tuple[float, float]], others: Seque
     Raises
     ------
     AbraceError
-        If a value is not finite, an input is clipped or is not excited throughout its band, or no channel responds.
+        If not every sample was recorded, a value is not finite, an input is clipped or is not excited throughout its
+        band, or no channel responds.
     """
+    require_every_sample(test)
     _require_finite(test)
     for name, band in bands.items():
         require_excited(test, name, band)
@@ -133,6 +135,16 @@ def require_rig(test: Test) -> None:
     """Refuse a `test` that is not of a rig."""
     if test.hold != "rig":
         raise AbraceError(f"{test.source}: hold {test.hold!r}, expected a test of a rig (hold 'rig')")
+
+
+def require_every_sample(test: Test) -> None:
+    """Refuse a `test` of which the logger left out samples: what its inputs did between the others is not known."""
+    every = test.facts.get("every", 1)
+    if every > 1:
+        raise AbraceError(
+            f"{test.source}: of {every} samples one was recorded: what the inputs did between them is not known, and "
+            f"motion above {0.5 / test.sample_period:g} Hz is folded into what is below; expected every sample"
+        )
 
 
 def require_long(test: Test) -> None:

@@ -33,6 +33,7 @@ from abrace_core.model.run import Run
 from abrace_core.model.si_units import in_si_units
 from abrace_core.model.simulation import simulate, simulate_closed_loop
 from abrace_sysid.data_identification import predicted as response_to
+from abrace_sysid.examination import require_every_sample
 from abrace_sysid.recorded.series import hann_power
 from abrace_sysid.recorded.test import TableOptions, given_tests, is_table
 from abrace_sysid.validity.finding import prediction_finding
@@ -241,12 +242,13 @@ def compare(
     Raises
     ------
     AbraceError
-        If there is not one test, it has a gap, model, controller and test are not of the same structure, or a signal
-        has a unit that cannot be converted.
+        If there is not one test, it has a gap or not every sample, model, controller and test are not of the same
+        structure, or a signal has a unit that cannot be converted.
     """
     test, *more = given_tests(given)
     if more:
         raise AbraceError(f"{test.source}: {1 + len(more)} tests, expected one")
+    require_every_sample(test)
     of_rig = test.hold == "rig"
     controller = in_si_units(controller) if controller else None
     if not of_rig:

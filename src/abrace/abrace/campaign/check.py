@@ -11,6 +11,7 @@ from abrace.campaign.laboratory import Laboratories, program_of
 from abrace.campaign.offline import wrong_offline
 from abrace.campaign.tasks import Design, RigTest
 from abrace_core import AbraceError
+from abrace_core.model.lifting import divisor
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -65,8 +66,10 @@ class CheckedCampaign:
             laboratory = self.laboratories.of(task)
             yield from wrong_test(task, laboratory, campaign.in_lockstep(task), self.signals)
             design, rate = campaign.tasks.get(str(task.controller)), laboratory.rig.sample_rate
-            if isinstance(design, Design) and design.sample_period and abs(design.sample_period * rate - 1) > 1e-9:
-                given = f"{task.controller} samples every {design.sample_period:g} s"
-                yield f"test.controller: {given}, expected {1 / rate:g} s"
+            if isinstance(design, Design) and design.sample_period:
+                try:
+                    divisor(design.sample_period, 1 / rate)
+                except AbraceError as error:
+                    yield f"test.controller: {task.controller}: {error}"
         else:
             yield from wrong_offline(task, campaign.tests, self.laboratories.behind(task)[0].rig)

@@ -139,8 +139,10 @@ def check_controller(controller: Controller, rig: Rig, source: str) -> None:
     if law.outputs != command_names(rig.groups):
         expected = ", ".join(command_names(rig.groups))
         raise AbraceError(f"{source} commands {', '.join(law.outputs)}, expected {expected} as rig {rig.name} takes")
-    if abs(law.sample_period * rig.sample_rate - 1) > 1e-9:
-        raise AbraceError(f"{source} samples every {law.sample_period:g} s, expected {1 / rig.sample_rate:g} s")
+    try:
+        controller.of_rig(1 / rig.sample_rate)
+    except AbraceError as error:
+        raise AbraceError(f"{source}: {error}") from error
 
 
 def _check_limits(test: RigTest, laboratory: Laboratory) -> None:

@@ -58,7 +58,7 @@ def drivers(test: RigTest, laboratory: Laboratory, controller_file: Callable[[st
         given = {"sample_rate": rig.sample_rate, **limits, **controller.parameters}
         found["brace_command"] = NodeStart("controller", program_of(controller), given)
     elif controller:
-        given = limits if test.force_limit else rates
+        given = {"rig_period": 1 / rig.sample_rate, **(limits if test.force_limit else rates)}
         found["brace_command"] = abrace_node("abrace_lqg", "controller", given, controller_file(controller))
     if test.ground_motion:
         given = {**test.ground_motion.parameters, "rig": str(laboratory.rig_file), **length}

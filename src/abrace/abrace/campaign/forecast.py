@@ -28,7 +28,7 @@ from abrace_core.model.verdict import judged
 from abrace_core.safety.table_guard import TableGuard
 from abrace_lqg.design import design
 from abrace_lqg.proof.checks import prove, require
-from abrace_lqg.proof.limits import of_rig
+from abrace_lqg.proof.limits import of_rig, rig_period_of
 from abrace_lqg.scaling import scaled_weights
 from abrace_lqg.weights import load_weights
 from abrace_plant.records.table_motion import table_demands
@@ -221,8 +221,9 @@ class Forecaster:
             options = of_rig(task, rig.sample_rate, rig.capacity).of_model(model)
             excitation = options.excitation(model)
             weights = load_weights(find_file(task.weights, "abrace_lqg", "config", ".yaml", "weights"))
-            weights = scaled_weights(model, weights, options.sample_period, options.force_limit, excitation)
-            designed = design(model, weights, options.sample_period)
+            period, rig_period = options.sample_period, rig_period_of(model, options.sample_period)
+            weights = scaled_weights(model, weights, period, options.force_limit, excitation, rig_period)
+            designed = design(model, weights, period, rig_period)
             law = designed.controller, designed.correction
             require(prove(designed, {"the model": model}, excitation, options.limits), options.accept)
         except AbraceError as error:

@@ -14,7 +14,9 @@ from abrace_core.model import discretization, linear_model
 from abrace_core.model.controller_file import Controller, save_controller
 from abrace_core.model.verdict import Verdict
 from abrace_lqg.analysis.margins import margins as found_margins
+from abrace_lqg.loop import sampled
 from abrace_lqg.proof.files import distrusted
+from abrace_lqg.proof.limits import rig_period_of
 from abrace_lqg.proof.proven_design import ProvenDesign
 
 if TYPE_CHECKING:
@@ -103,7 +105,7 @@ def margins(model: AnyModel, controller: AnyController) -> Margins:
     Parameters
     ----------
     model, controller
-        Of the loop, with the rig's timing: a command acts from the next sample on.
+        Of the loop, with the rig's timing: a command acts from the rig's next sample on.
 
     Raises
     ------
@@ -111,7 +113,8 @@ def margins(model: AnyModel, controller: AnyController) -> Margins:
         If the loop is not stable, or the controller is for another rig.
     """
     law = controller if isinstance(controller, linear_model.LinearModel) else controller_of(controller).law
-    return found_margins(model_of(model), law)
+    plant = model_of(model)
+    return found_margins(plant if plant.sample_period else sampled(plant, rig_period_of(plant, law.sample_period)), law)
 
 
 def covariance_of(given: AnyModel) -> NDArray[np.float64] | None:

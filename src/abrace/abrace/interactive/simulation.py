@@ -135,7 +135,7 @@ def simulate(
     else:
         if ground.any():
             check_motion(ground, rig.sample_rate, rig.table, name, RECORD_REMEDIES)
-        force, case = (lambda k, _: forces[k].tolist()), f"{rig.name}/{name}"
+        force, case = (lambda k, *_: forces[k].tolist()), f"{rig.name}/{name}"
         if controller is not None:
             force, called = _answer(rig, controller_of(controller, capacity) if law is None else law)
             case = f"{case}/{called}"
@@ -154,7 +154,7 @@ def _period(fixed: float, given: float) -> float:
 def _sample_period(model: LinearModel, controller: Any, capacity: NDArray[np.float64]) -> float:
     """The sample period of the controller, or of the tests that the model was identified from [s]."""
     if controller is not None:
-        return controller_of(controller, capacity).law.sample_period
+        return controller_of(controller, capacity).rig_period
     found = model.provenance.get("sample_period")
     if not found:
         raise AbraceError("simulate: the sample period of this model is not known, expected sample_period in s")
@@ -241,7 +241,7 @@ def _padded(values: NDArray[np.float64] | None, shape: tuple[int, ...]) -> NDArr
     return padded
 
 
-def _answer(rig: Rig, given: Controller | Law) -> tuple[Callable[[int, list[float]], list[float]], str]:
+def _answer(rig: Rig, given: Controller | Law) -> tuple[Callable[[int, list[float], list[float]], list[float]], str]:
     """The controller as its node runs it: forces fade in, and pass the limits; and its name."""
     period, floors, groups = 1 / rig.sample_rate, rig.floors, rig.groups
     if not isinstance(given, Controller):
@@ -249,10 +249,6 @@ def _answer(rig: Rig, given: Controller | Law) -> tuple[Callable[[int, list[floa
         law.begin(floors, groups)
         active = None
     else:
-        if abs(given.law.sample_period / period - 1) > ROUNDING:
-            raise AbraceError(
-                f"controller {given.name}: every {given.law.sample_period:g} s, expected the rig's {period:g} s"
-            )
         if missing := [
             name for name in given.law.inputs if name in rig.model.outputs and name not in rig.recorded_names
         ]:
@@ -260,13 +256,13 @@ def _answer(rig: Rig, given: Controller | Law) -> tuple[Callable[[int, list[floa
                 f"controller {given.name}: measures {', '.join(missing)}, expected some of what rig {rig.name} "
                 f"measures, {', '.join(rig.recorded_names)}"
             )
-        limit, active = given.force_limit, ActiveController(given, RAMP)
+        limit, active = given.force_limit, ActiveController(given, RAMP, period)
         active.reset(signals.response_names(floors, groups), signals.command_names(groups), np.zeros(groups))
     guard = CommandGuard(limit, rig.rate_limit.tolist(), period, RAMP_TIME)
 
-    def force(number: int, z: list[float]) -> list[float]:
+    def force(number: int, z: list[float], applied: list[float]) -> list[float]:
         if active is None:
-            guard.follow(law.force(number, z, 0))
+            guard.follow(law.force(number, z, applied, 0))
         else:
             active.require_finite(number, z)
             guard.follow(active.force(z, 0).tolist())

@@ -60,6 +60,8 @@ class TopicContent:
         Whether log times step back.
     stated_rate
         The `rate` as the bag says; None: it is found by the messages.
+    every
+        Of so many messages one was to be recorded, those whose numbers it divides.
     """
 
     messages: int = 0
@@ -72,22 +74,23 @@ class TopicContent:
     numbers: NumberRanges | None = field(default=None, compare=False)
     steps_back: bool = False
     stated_rate: float | None = field(default=None, compare=False)
+    every: int = field(default=1, compare=False)
     _last: tuple[int, int] = field(default=(-1, -1), compare=False)
     _counter: SequenceCounter = field(default_factory=SequenceCounter, compare=False)
     _stamps: StampStream = field(default_factory=StampStream, compare=False)
 
     @classmethod
-    def of(cls, definition: str) -> TopicContent:
-        """Nothing yet, of a topic with this `definition` (.msg) of its messages' type.
+    def of(cls, definition: str, every: int = 1) -> TopicContent:
+        """Nothing yet, of a topic with this `definition` (.msg) of its messages' type, of which one of `every` is kept.
 
         Messages are numbered that begin with a header and a `sequence`, as the rig's do.
         """
-        numbered = _NUMBERED.match(_NO_FIELD.sub("", definition))
-        return cls(numbers=NumberRanges() if numbered else None)
+        numbers = NumberRanges(every) if is_numbered(definition) else None
+        return cls(numbers=numbers, every=every, _counter=SequenceCounter(every))
 
     @property
     def rate(self) -> float:
-        """Samples a second by their stamps, of messages without numbers by their log times; 0: fewer than two."""
+        """Recorded samples a second by their stamps, without numbers by their log times; 0: fewer than two."""
         if self.stated_rate is not None:
             return self.stated_rate
         period = self._stamps.times().period
@@ -114,7 +117,7 @@ class TopicContent:
             self._counter.add(number)
             stamps.append(seconds * 1_000_000_000 + nanoseconds)
             numbers.append(number)
-        self._stamps.add(np.array(stamps, np.int64), np.array(numbers, np.uint64))
+        self._stamps.add(np.array(stamps, np.int64), np.array(numbers, np.uint64) // self.every)
         self.gaps, self.missing = self._counter.gaps, self._counter.missing
 
     def read(self, messages: Messages) -> bool:
@@ -140,7 +143,7 @@ class TopicContent:
                 seconds, nanoseconds = (
                     messages.numbers(form, at) for form, at in (("<i4", _STAMP_OFFSET), ("<u4", _STAMP_OFFSET + 4))
                 )
-                self._stamps.add(seconds * np.int64(1_000_000_000) + nanoseconds, numbers)
+                self._stamps.add(seconds * np.int64(1_000_000_000) + nanoseconds, numbers // self.every)
                 if number_before >= 0:
                     times, numbers = np.append(before, times), np.append(np.uint64(number_before), numbers)
                 set_back = clock_was_set_back(times, numbers)
@@ -151,6 +154,11 @@ class TopicContent:
         self.messages += count
         self.first_time = first if self.first_time is None else min(self.first_time, first)
         self.last_time = last if self.last_time is None else max(self.last_time, last)
+
+
+def is_numbered(definition: str) -> bool:
+    """Whether messages with this `definition` (.msg) of their type begin with a header and a `sequence`."""
+    return _NUMBERED.match(_NO_FIELD.sub("", definition)) is not None
 
 
 def sequence_numbers(messages: Messages) -> NDArray[np.uint64]:

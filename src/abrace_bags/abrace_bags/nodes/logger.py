@@ -6,6 +6,7 @@ abrace run abrace_bags logger --ros-args -p output:=bags/first -p topics:=[respo
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import time
@@ -23,8 +24,12 @@ from abrace_bags.mcap.attachments import file_attachments
 from abrace_bags.metadata import installed_versions
 from abrace_bags.nodes.endpoint import Publisher, publishers_of
 from abrace_bags.nodes.raw_subscription import DEPTH, RawSubscription
-from abrace_bags.recording import Recording, parse_facts
+from abrace_bags.recording import SAMPLE_TYPES, Recording, parse_every, parse_facts
+from abrace_bags.run import RESPONSE_TYPE
+from abrace_bags.topics import EVERY
 from abrace_core import AbraceError
+from abrace_core.files.suggestion import expected_of
+from abrace_core.safety.wire import LOCKSTEP, Responses
 from abrace_node.node import AbraceNode, RCLError, rcl_message
 from abrace_node.parameters import Parameter
 from abrace_node.process import run
@@ -32,6 +37,13 @@ from abrace_node.process import run
 PARAMETERS = [
     Parameter("output", "", "bag (a new directory) to write", required=True),
     Parameter("topics", ["response", "brace_command", "ground_motion", "/diagnostics"], "topics to record, by name"),
+    Parameter(
+        "every",
+        [],
+        "topics of which less is recorded, each as topic=n: of n messages that whose sequence n divides; of topics "
+        "without one every n-th that comes",
+        element=str,
+    ),
     Parameter("facts", [], "facts of the run, each as key=value, written into the bag", element=str),
     Parameter("attachments", [], "files of the run that go into the bag: rig, model, controller, record", element=str),
     Parameter("split_size", 2**30, "bytes after which the next file begins; 0: when its index takes 64 MiB", minimum=0),
@@ -56,13 +68,14 @@ MOST_AT_ONCE = 500
 
 @dataclass
 class Topic:
-    """A topic that is being recorded: its subscription, its number in the bag, messages received for the bag."""
+    """A topic that is being recorded: its subscription, its number in the bag."""
 
     subscription: RawSubscription
     topic_id: int
-    count: int = 0
     untimed: bool = False
     """Whether messages without a valid time have been reported."""
+    last: bytes = b""
+    """The last message of the control loop."""
 
 
 class Logger(AbraceNode):
@@ -81,6 +94,8 @@ class Logger(AbraceNode):
             raise AbraceError(f"parameter topics: {given.topics}, {rcl_message(error)}") from error
         if not self.given_names:
             raise AbraceError("parameter topics: no topic, expected names")
+        self.every = self.read_every()
+        self.facts |= {f"{EVERY}{name}": str(number) for name, number in self.every.items()}
         self.attachments = file_attachments([Path(path) for path in given.attachments])
         self.topics: dict[str, Topic] = {}
         self.errors: dict[str, str] = {}
@@ -100,6 +115,20 @@ class Logger(AbraceNode):
             self.create_service(Trigger, f"~/{name}", partial(self.answer, getattr(self, name)))
         self.create_timer(DISCOVERY_PERIOD, self.discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.due = time.monotonic()
+
+    def read_every(self) -> dict[str, int]:
+        """Of how many messages of a topic one is recorded, by its whole name; of others all are."""
+        found = {}
+        for topic, number in parse_every(self.parameters.every).items():
+            try:
+                name = self.resolve_topic_name(topic)
+            except RCLError as error:
+                raise AbraceError(f"parameter every: {topic!r}, {rcl_message(error)}") from error
+            if name not in self.given_names:
+                expected = expected_of(topic, list(self.given_names.values()))
+                raise AbraceError(f"parameter every: {topic} is not among the topics, {expected}")
+            found[name] = number
+        return found
 
     def autostart(self) -> None:
         """Record at once, if the parameter `autostart` is true."""
@@ -135,7 +164,7 @@ class Logger(AbraceNode):
 
     def record(self, name: str, publishers: list[Publisher]) -> None:
         """Subscribe to a topic."""
-        subscription = RawSubscription(self.input, name, publishers, self.parameters.lockstep)
+        subscription = RawSubscription(self.input, name, publishers, self.parameters.lockstep, self.every.get(name, 1))
         definition = subscription.definition
         offers = [publisher.qos for publisher in publishers]
         topic_id = self.open_recording().add_topic(
@@ -166,13 +195,31 @@ class Logger(AbraceNode):
     def receive(self, topic: Topic, most: int) -> int:
         """Receive a topic's messages that have come, `most` of them; returns how many those were."""
         recording = self.open_recording()
-        received = topic.subscription.receive(most, partial(recording.write, topic.topic_id))
-        topic.count += received
+        of_loop = topic.subscription.definition.type_name in SAMPLE_TYPES
+        write = partial(self.write_once, topic) if of_loop else partial(recording.write, topic.topic_id)
+        received = topic.subscription.receive(most, write)
         if not topic.untimed and topic.topic_id in recording.untimed:
             topic.untimed = True
             name = topic.subscription.topic
             self.get_logger().warning(f"{name}: messages without a valid time, the logger gives them its own")
         return received
+
+    def write_once(self, topic: Topic, payload: bytes, received: int, published: int) -> None:
+        """Record a message, as in `Recording.write`, but in lockstep none that is the one before said again.
+
+        A rig in lockstep says its first sample again until it is answered; by the clock equal answers are of two nodes.
+        """
+        if payload != topic.last or not self.in_lockstep():
+            topic.last = payload
+            self.open_recording().write(topic.topic_id, payload, received, published)
+
+    def in_lockstep(self) -> bool:
+        """Whether the last response, if one is recorded, is of a rig in lockstep; otherwise the parameter."""
+        for topic in self.topics.values():
+            if topic.subscription.definition.type_name == RESPONSE_TYPE and topic.last:
+                with contextlib.suppress(AbraceError):
+                    return bool(Responses().unpack(topic.last)[1].flags & LOCKSTEP)
+        return bool(self.parameters.lockstep)
 
     def open_recording(self) -> Recording:
         """What is being recorded."""
@@ -244,7 +291,7 @@ class Logger(AbraceNode):
         for name, topic in self.topics.items():
             shown = self.given_names[name]
             values[f"publishers of {shown}"] = topic.subscription.count_publishers()
-            values[f"messages of {shown}"] = topic.count
+            values[f"messages of {shown}"] = topic.subscription.kept
             values[f"lost of {shown}"] = topic.subscription.lost + dropped.get(topic.topic_id, 0)
             if topic.topic_id in untimed:
                 values[f"without a valid time of {shown}"] = untimed[topic.topic_id]

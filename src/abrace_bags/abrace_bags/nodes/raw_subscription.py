@@ -13,6 +13,7 @@ from rosbags.interfaces import QosDurability, QosHistory
 
 from abrace_bags.nodes.endpoint import common_definition, message_class, qos_profile
 from abrace_bags.qos import common_qos
+from abrace_bags.recording import EveryNth
 from abrace_bags.sequence import SequenceCounter
 from abrace_core import AbraceError
 
@@ -49,6 +50,8 @@ class RawSubscription:
     keep_all
         Whether reliable publishers with the history "keep all" wait for this subscription; otherwise new messages
         replace old ones.
+    every
+        Of so many messages one is kept (`EveryNth`).
 
     Attributes
     ----------
@@ -56,8 +59,11 @@ class RawSubscription:
         Full name.
     definition
         Of its messages.
+    kept
+        Messages that were received and kept.
     lost
-        Messages that were not received, by the publisher's own sequence numbers: while there is only one publisher.
+        Messages that were not received and would have been kept, by the publisher's own sequence numbers: while there
+        is only one publisher.
 
     Raises
     ------
@@ -70,11 +76,13 @@ class RawSubscription:
     then takes the place of the old one as soon as it has received a message, and each message is received once.
     """
 
-    def __init__(self, node: Node, topic: str, publishers: Sequence[Publisher], keep_all: bool) -> None:
+    def __init__(self, node: Node, topic: str, publishers: Sequence[Publisher], keep_all: bool, every: int = 1) -> None:
         self._node = node
         self.topic = topic
         self.definition = common_definition(topic, publishers)
-        self.lost = 0
+        self.kept = self.lost = 0
+        self._alone = True
+        self._thinning = EveryNth(every, self.definition.text) if every > 1 else None
         self._history = QosHistory.KEEP_ALL if keep_all else QosHistory.KEEP_LAST
         self._qos = common_qos([publisher.qos for publisher in publishers], DEPTH)
         self._subscription = self._subscribe()
@@ -91,6 +99,7 @@ class RawSubscription:
     def count_publishers(self) -> int:
         """Publishers that it is matched with now."""
         count: int = (self._successor or self._subscription).get_publisher_count()
+        self._alone = count <= 1
         if count != 1:
             # each publisher has numbers of its own, and a message does not tell its publisher
             self._numbers.restart()
@@ -121,28 +130,35 @@ class RawSubscription:
         most
             How many at most, but while a new subscription takes the place of the old one.
         write
-            Called with the bytes of each, when it was received and when it was published [ns].
+            Called with the bytes of each that is kept, when it was received and when it was published [ns].
 
         Returns
         -------
         int
-            How many those were.
+            How many have come.
         """
-        numbers, missing, largest = self._numbers, self._numbers.missing, self._largest
+        numbers, largest, thinning = self._numbers, self._largest, self._thinning
+        lost = 0
         # a new subscription to a transient local topic receives the last messages again
         remembered = self._received if self._successor or self.transient_local else None
         messages = self._of_both(self._successor) if self._successor else _taken(self._subscription, most)
         count = 0
         for payload, info in messages:
-            write(payload, info["received_timestamp"], info["source_timestamp"])
-            numbers.add(info["publication_sequence_number"])
+            missing = max(numbers.add(info["publication_sequence_number"]), 0)
+            keep = True
+            if thinning is not None:
+                keep, missing = thinning.add(payload, missing if self._alone else 0)
+            if keep:
+                write(payload, info["received_timestamp"], info["source_timestamp"])
+                self.kept += 1
+            lost += missing
             count += 1
             if len(payload) > largest:
                 largest = len(payload)
             if remembered is not None:
                 remembered.append(_key(payload, info))
         if count and self.count_publishers() <= 1:
-            self.lost += numbers.missing - missing
+            self.lost += lost
         if largest > self._largest:
             self._largest = largest
             if largest * self._qos.depth > MEMORY and self._qos.depth > LEAST_DEPTH:

@@ -16,6 +16,7 @@ import yaml
 from abrace_core import AbraceError
 from abrace_core.files.config_file import Checked, read_config, validated, yaml_number
 from abrace_core.files.writing import write_text
+from abrace_core.model.lifting import divisor
 from abrace_core.model.linear_model import LinearModel, load_mat, save_mat
 from abrace_core.model.values import Value, read_only
 
@@ -52,6 +53,8 @@ class ControllerParameters(Checked):
         `Controller.correction` and `Controller.prediction`.
     units
         SI units, as NAME=UNIT, of measured quantities and commands that are no rig's.
+    rig_period
+        Sample period of the rig [s], of whose samples every n-th is answered; 0: the controller's.
     """
 
     name: str
@@ -70,6 +73,7 @@ class ControllerParameters(Checked):
     g_d: list[float]
     p_d: list[float]
     units: list[str] = []
+    rig_period: Annotated[float, pydantic.Field(ge=0)] = 0.0
 
 
 class _Node(Checked):
@@ -99,11 +103,14 @@ class Controller(Value):
         (commands,) [N].
     model, weights, margins
         Texts of one line: the model and the weights that it was designed with, and its predicted margins.
+    rig_period
+        Sample period [s] of the rig for which it was made; the law's is a whole multiple. 0: the law's.
 
     Raises
     ------
     AbraceError
-        If the law is continuous, has no states or is not stable, or a matrix or limit does not fit it.
+        If the law is continuous, has no states, is not stable or of a sample period that is no whole multiple of the
+        rig's, or a matrix or limit does not fit it.
     """
 
     name: str
@@ -114,6 +121,7 @@ class Controller(Value):
     model: str
     weights: str
     margins: str
+    rig_period: float = 0.0
 
     def __post_init__(self) -> None:
         law = self.law
@@ -127,6 +135,8 @@ class Controller(Value):
                 f"controller {self.name}: the law itself is not stable (spectral radius of a_d {radius:.6g}), "
                 "expected less than 1"
             )
+        object.__setattr__(self, "rig_period", self.rig_period or law.sample_period)
+        self.of_rig(self.rig_period)
         states, measured, commands = law.order, len(law.inputs), len(law.outputs)
         for key, shape in (("correction", (states, commands)), ("prediction", (measured, states + commands))):
             matrix = read_only(getattr(self, key), shape, f"controller {self.name}: {key}")
@@ -138,6 +148,25 @@ class Controller(Value):
                 f"expected a force above zero for each of {', '.join(law.outputs)}"
             )
         object.__setattr__(self, "force_limit", limit)
+
+    def of_rig(self, period: float) -> int:
+        """How many samples of a rig, one each `period` [s], make one of the law; of these it answers the first.
+
+        Raises
+        ------
+        AbraceError
+            If it is not a whole number, or the controller was made for a rig of another sample period.
+        """
+        try:
+            found = divisor(self.law.sample_period, period)
+        except AbraceError as error:
+            raise AbraceError(f"controller {self.name}: {error}") from error
+        made_for = divisor(self.law.sample_period, self.rig_period)
+        if made_for not in (1, found):
+            raise AbraceError(
+                f"controller {self.name}: made for a rig that samples every {self.rig_period:g} s, not {period:g} s"
+            )
+        return found
 
     @property
     def poles(self) -> NDArray[np.complex128]:
@@ -173,6 +202,7 @@ def save_controller(controller: Controller, path: Path | str, proof: Sequence[st
     texts = {key: " ".join(getattr(controller, key).split()) for key in ("name", "model", "weights", "margins")}
     if str(path).endswith(".mat"):
         matrices = {"G": controller.correction, "P": controller.prediction, "force_limit": controller.force_limit}
+        matrices["rig_period"] = np.array(controller.rig_period)
         save_mat(law, path, matrices | texts)
         return
     lines = [
@@ -192,6 +222,8 @@ def save_controller(controller: Controller, path: Path | str, proof: Sequence[st
         f"    states: {law.order}",
         f"    force_limit: [{_row(controller.force_limit)}]",
     ]
+    if controller.rig_period != law.sample_period:
+        lines.append(f"    rig_period: {yaml_number(controller.rig_period)}")
     if law.units:
         units = (f"{name}={unit}" for name, unit in law.units.items())
         lines.append(f"    units: [{', '.join(map(_quoted, units))}]")
@@ -217,7 +249,9 @@ def load_controller(path: Path | str) -> Controller:
             raise AbraceError(f"controller file {path}: no variable {missing[0]}, expected one of save_mat")
         texts = ["".join(np.ravel(found.get(key, ""))) for key in ("name", "model", "weights", "margins")]
         try:
-            return Controller(texts[0], law, found["G"], found["P"], np.ravel(found["force_limit"]), *texts[1:])
+            limit, period = np.ravel(found["force_limit"]), float(np.ravel(found.get("rig_period", 0.0))[0])
+            name, model, weights, margins = texts
+            return Controller(name, law, found["G"], found["P"], limit, model, weights, margins, period)
         except (TypeError, ValueError, AbraceError) as error:
             raise AbraceError(f"controller file {path}: {error}") from error
     content = read_config(path, _File, "controller")
@@ -276,6 +310,7 @@ def _controller(parameters: ControllerParameters, source: str) -> Controller:
             parameters.model,
             parameters.weights,
             parameters.margins,
+            parameters.rig_period,
         )
     except AbraceError as error:
         raise AbraceError(f"{source}: {error}") from error

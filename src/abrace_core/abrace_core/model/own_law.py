@@ -41,6 +41,9 @@ class LawSample:
         (floors,) of the floors: relative to the table, and absolute.
     stroke, force
         (groups,) of one brace of each group; the force is the mean of the group's load cells.
+    applied
+        (groups,) [N], the command for one brace of each group that acted until this sample: what saturation, rate limit
+        and fade left of the answer to the last sample but one, unless that was lost or late.
     lost
         Samples that were lost just before this one.
     """
@@ -50,6 +53,7 @@ class LawSample:
     stroke: NDArray[np.float64]
     acceleration: NDArray[np.float64]
     force: NDArray[np.float64]
+    applied: NDArray[np.float64]
     lost: int
 
 
@@ -136,23 +140,25 @@ class GuardedLaw:
         self._names, self._measured = response_names(floors, groups), []
         self._call("begin", floors, groups, self._period)
 
-    def force(self, number: int, z: Sequence[float], lost: int) -> list[float]:
+    def force(self, number: int, z: Sequence[float], applied: Sequence[float], lost: int) -> list[float]:
         """The law's force (groups,) [N] in answer to sample `number`, faded in.
 
         `z` is [displacements, strokes, accelerations, forces], as measured, NaN where the first sample has NaN: the rig
-        has no such sensor; `lost` samples were lost just before.
+        has no such sensor; `applied` (groups,) [N] acted until the sample; `lost` samples were lost just before.
 
         Raises
         ------
         AbraceError
-            If a measured value is not finite, or the law fails.
+            If a value is not finite, or the law fails.
         """
         if not self._measured:
             self._measured = [name for name, value in zip(self._names, z, strict=True) if not math.isnan(value)]
         require_finite(number, z, self._names, self._measured)
+        if not all(map(math.isfinite, applied)):
+            raise AbraceError(f"command of sample {number} is {[*applied]}, expected finite numbers")
         floors, groups, values = self._floors, self._groups, np.array(z)
         x, stroke, a, f = np.split(values, np.cumsum([floors, groups, floors]))
-        found = self._call("force", LawSample(number, x, stroke, a, f, lost))
+        found = self._call("force", LawSample(number, x, stroke, a, f, np.array(applied), lost))
         try:
             force = np.atleast_1d(np.asarray([] if found is None else found, dtype=np.float64))
         except (TypeError, ValueError, OverflowError):

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from abrace_core import AbraceError
+from abrace_core.model.lifting import divisor, lifted
 from abrace_core.model.linear_model import LinearModel, takes_models
+from abrace_core.model.si_units import in_si_units
 from abrace_core.model.stepping import check_finite, connect, histories
 
 if TYPE_CHECKING:
@@ -55,7 +57,8 @@ def simulate_closed_loop(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Run a controller (Eq. 13) on a discrete model from rest, with the rig's timing and saturation.
 
-    The command computed from sample k acts from sample k+1 on, as in the graph.
+    The command computed from sample k acts from sample k+1 on, as in the graph. A controller whose sample period is n
+    of the model's answers samples 0, n, 2n, ...; its command is held in between.
 
     Parameters
     ----------
@@ -63,7 +66,7 @@ def simulate_closed_loop(
         Discrete model; its first input disturbs (the ground acceleration of a rig), the others are the controller's
         outputs.
     controller
-        Discrete model from some of the outputs to the commands, at the same sample period.
+        Discrete model from some of the outputs to the commands; its sample period is the model's or a whole multiple.
     disturbance
         (samples,) of the model's first input [SI units], finite.
     capacity
@@ -87,7 +90,14 @@ def simulate_closed_loop(
     if driving.ndim != 1:
         raise AbraceError(f"closed loop: {model.inputs[0]} of shape {driving.shape}, expected (samples,)")
     check_finite(f"closed loop: {model.inputs[0]}", driving)
-    series = connect(model, controller, capacity, correction)
+    fits = bool(model.sample_period) and model.inputs[1:] == controller.outputs
+    held = divisor(controller.sample_period, model.sample_period) if fits else 1
+    model, samples = lifted(in_si_units(model), len(controller.outputs), held), len(driving)
+    series = connect(model, controller, capacity, correction, held)
     limit = np.array(capacity, dtype=np.float64)
-    outputs, in_force = histories(series, driving[:, None], limit)
-    return outputs, np.vstack([np.zeros((1, len(limit))), in_force[:-1]])[: len(driving)]
+    # sample 0 is the last one of its step
+    padded = np.concatenate([np.zeros(held - 1), driving, np.zeros(-(samples - 1) % held)])
+    outputs, in_force = histories(series, padded.reshape(-1, held), limit)
+    outputs = outputs.reshape(len(padded), outputs.shape[1] // held)[held - 1 :][:samples]
+    in_force = np.repeat(in_force, held, axis=0)[held - 1 :][:samples]
+    return outputs, np.vstack([np.zeros((1, len(limit))), in_force[:-1]])[:samples]

@@ -45,6 +45,7 @@ def connect(
     controller: LinearModel,
     capacity: NDArray[np.float64] | None = None,
     correction: NDArray[np.float64] | None = None,
+    disturbances: int = 1,
 ) -> LinearModel:
     """Model and controller in series: from the disturbance and commands in force to outputs and next commands.
 
@@ -55,6 +56,8 @@ def connect(
     ----------
     model, controller, capacity, correction
         As in `simulation.simulate_closed_loop`; a `capacity` of None is not checked. Signals are converted to SI units.
+    disturbances
+        Inputs of the model before its commands.
 
     Raises
     ------
@@ -63,10 +66,11 @@ def connect(
     """
     model = in_si_units(model)
     controller = in_si_units(controller)
-    if model.inputs[1:] != controller.outputs or abs(model.sample_period - controller.sample_period) > 1e-12:
+    acting = model.inputs[disturbances:]
+    if acting != controller.outputs or abs(model.sample_period - controller.sample_period) > 1e-12:
         raise AbraceError(
             f"closed loop: the controller gives {', '.join(controller.outputs)} every {controller.sample_period} s, "
-            f"the model takes {', '.join(model.inputs[1:])} every {model.sample_period} s"
+            f"the model takes {', '.join(acting)} every {model.sample_period} s"
         )
     if not model.sample_period:
         raise AbraceError("closed loop: expected discrete models")
@@ -85,7 +89,7 @@ def connect(
     measured = [model.outputs.index(name) for name in controller.inputs]
     c, d = model.c[measured], model.d[measured]
     a, b = controller.a - correction @ controller.c, controller.b - correction @ controller.d
-    in_force = np.hstack([np.zeros((controller.order, 1)), correction])
+    in_force = np.hstack([np.zeros((controller.order, disturbances)), correction])
     return LinearModel(
         np.block([[model.a, np.zeros((model.order, controller.order))], [b @ c, a]]),
         np.vstack([model.b, b @ d + a @ in_force]),

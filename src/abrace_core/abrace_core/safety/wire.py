@@ -143,12 +143,15 @@ class Responses:
     _counts: Callable[[tuple[Any, ...]], tuple[Any, ...]] = tuple
     _counted: tuple[Any, ...] = ()
     _motion = slice(0), slice(0), slice(0)
+    _command = slice(0)
     _cells: Sequence[tuple[int, int]] = ()
     _measured_cells: Sequence[Sequence[int]] = ()
     """Of each group, where a load cell of the rig is missing."""
     floors = groups = 0
     table_displacement = math.nan
     """Of the Response that was unpacked last [m]; NaN: unknown."""
+    command: tuple[float, ...] = ()
+    """(groups,) of the Response that was unpacked last [N]."""
 
     def pack(
         self,
@@ -198,7 +201,7 @@ class Responses:
         if self._counts(values) != self._counted:
             self._learn(payload)
             return self.unpack(payload)
-        self.table_displacement = values[-1]
+        self.table_displacement, self.command = values[-1], values[self._command]
         if self._measured_cells:
             force = tuple([_mean([values[i] for i in cells]) for cells in self._measured_cells])
         else:
@@ -244,12 +247,13 @@ class Responses:
         self.floors, self.groups = floors, groups
         (frame,) = struct.unpack_from("<I", payload, _HEADER.size - 4)
         layout = self._layout = _Layout(frame, numbers, lengths, 2)
-        x, a, s, f, _ = layout.starts
+        x, a, s, f, u = layout.starts
         values = layout.struct.unpack_from(payload)
         counted = [0, 3, 6, *range(10, x), *layout.starts]
         self._counts = itemgetter(*counted)
         self._counted = (LITTLE_ENDIAN, frame, values[6], groups, *braces, *lengths)
         self._motion = slice(x + 1, x + 1 + floors), slice(s + 1, s + 1 + groups), slice(a + 1, a + 1 + floors)
+        self._command = slice(u + 1, u + 1 + groups)
         ends = [f + 1 + end for end in accumulate(braces)]
         self._cells = list(zip([f + 1, *ends], ends, strict=False))
         measured = [[i for i in range(*edges) if not math.isnan(values[i])] for edges in self._cells]

@@ -19,7 +19,7 @@ from abrace_core import AbraceError
 from abrace_core.files.config_file import Number  # noqa: TC001  pydantic reads it
 from abrace_core.model.linear_model import takes_models
 from abrace_core.model.verdict import nan_first, nan_last
-from abrace_lqg.loop import Loop, closed_loop, eigenvalues, sampled
+from abrace_lqg.loop import Loop, at_rate, closed_loop, eigenvalues
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -142,7 +142,7 @@ def common_gain_margin(model: LinearModel, controller: LinearModel) -> float:
     AbraceError
         If the loop is not stable.
     """
-    plant = sampled(model, controller.sample_period)
+    plant = at_rate(model, controller)
     whole = closed_loop(plant, controller).a
     in_force = slice(plant.order + controller.order, None)
 

@@ -15,9 +15,10 @@ import pydantic
 from scipy.optimize import linear_sum_assignment
 
 from abrace_core.files.config_file import Number  # noqa: TC001  pydantic reads it
+from abrace_core.model.lifting import divisor
 from abrace_core.model.linear_model import takes_models
 from abrace_core.model.modes import nearest_mode
-from abrace_lqg.loop import NEGLIGIBLE_POLE, closed_loop, eigenvalues, sampled
+from abrace_lqg.loop import NEGLIGIBLE_POLE, at_rate, closed_loop, eigenvalues
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -80,7 +81,7 @@ def mode_effects(model: LinearModel, controller: LinearModel, design_model: Line
         The model that the controller was designed with; pole pairs that it lacks are unmodelled.
     """
     period = controller.sample_period
-    plant = sampled(model, period)
+    plant = at_rate(model, controller)
     loop = closed_loop(plant, controller).a
     commands = slice(plant.order + controller.order, None)
     gain = np.ones((len(loop), 1))
@@ -89,7 +90,8 @@ def mode_effects(model: LinearModel, controller: LinearModel, design_model: Line
     # with zero gain the loop's poles are the plant's and the controller's: find the plant's among them
     own = eigenvalues(plant.a)
     own = own[(own.imag > 1e-9) & (np.abs(own) > NEGLIGIBLE_POLE)]
-    _, indices = linear_sum_assignment(np.abs(own[:, None] - start))
+    seen = own ** divisor(period, plant.sample_period)
+    _, indices = linear_sum_assignment(np.abs(seen[:, None] - start))
 
     def poles_at(share: float) -> NDArray[np.complex128]:
         gain[commands] = share**2
@@ -98,7 +100,10 @@ def mode_effects(model: LinearModel, controller: LinearModel, design_model: Line
     followed = _followed(poles_at, start, indices)
     known = np.abs(design_model.poles[design_model.poles.imag > 0])
     effects = []
-    for before, after in zip(np.log(own) / period, np.log(followed) / period, strict=True):
+    uncontrolled = np.log(own) / plant.sample_period
+    # seen by a slower controller a fast mode is at another frequency
+    folded = np.log(seen) / period - uncontrolled
+    for before, after in zip(uncontrolled, np.log(followed) / period - folded, strict=True):
         frequency = float(abs(before))
         effects.append(
             ModeEffect(

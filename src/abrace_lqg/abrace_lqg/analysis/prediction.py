@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predicted rms of responses and commands under a random disturbance, of a rig the ground motion.
 
-It is noise with a flat spectrum in a band; the response's power is the integral of |H|^2 over that
-band, with H the transfer function of the sampled loop, for which a ground acceleration is linear between samples. The
-prediction is linear: commands do not saturate.
+It is noise with a flat spectrum in a band; the response's power is the integral of |H|^2 over that band, with H the
+transfer function of the sampled loop, for which a ground acceleration is linear between samples; with a controller that
+answers every n-th sample it is the mean over the n samples. The prediction is linear: commands do not saturate.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from abrace_core import AbraceError
 from abrace_core.model import signals
 from abrace_core.model.linear_model import takes_models
 from abrace_core.model.si_units import in_si_units
-from abrace_lqg.loop import LOWEST_FREQUENCY, closed_loop, eigenvalues, frequency_grid, sampled
+from abrace_lqg.loop import LOWEST_FREQUENCY, at_rate, closed_loop, eigenvalues, frequency_grid
 
 if TYPE_CHECKING:
     from abrace_core.model.linear_model import LinearModel
@@ -69,7 +69,7 @@ def predicted_rms(model: LinearModel, controller: LinearModel | None, excitation
     Parameters
     ----------
     model
-        From disturbance and commands; continuous, or discrete at the controller's sample period.
+        From disturbance and commands; continuous, or discrete at the controller's sample period or a whole part of it.
     controller
         Eq. (13); None: zero command, with a discrete model.
     excitation
@@ -82,10 +82,11 @@ def predicted_rms(model: LinearModel, controller: LinearModel | None, excitation
     """
     model = in_si_units(model)
     loop = model.select(inputs=[excitation.input]) if controller is None else closed_loop(model, controller)
-    poles = eigenvalues(loop.a)
-    if loop.inputs != (excitation.input,) or not loop.sample_period or np.abs(poles).max(initial=0.0) >= 1:
+    commands = () if controller is None else controller.outputs
+    poles, free = eigenvalues(loop.a), [name for name in model.inputs if name not in commands]
+    if (controller and free != [excitation.input]) or not loop.sample_period or np.abs(poles).max(initial=0.0) >= 1:
         raise AbraceError(
-            f"prediction: model with inputs {', '.join(loop.inputs)} and sample period {loop.sample_period} s, "
+            f"prediction: model with inputs {', '.join(free)} and sample period {loop.sample_period} s, "
             f"expected a stable discrete one with input {excitation.input}"
         )
     low, high = (2 * np.pi * frequency for frequency in excitation.band)
@@ -97,11 +98,15 @@ def predicted_rms(model: LinearModel, controller: LinearModel | None, excitation
     omega = frequency_grid(poles, loop.sample_period, (max(low, LOWEST_FREQUENCY), min(high, highest)))
     steps = np.diff(omega)
     share = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]]) / 2 / (high - low)
-    response = loop.frequency_response(omega)[:, :, 0]
-    rms = excitation.rms * np.sqrt(share @ np.abs(response) ** 2)
+    held, count = len(loop.inputs), len(model.outputs)
+    step = np.exp(1j * np.outer(omega, np.arange(held)) * loop.sample_period / held)
+    response = np.einsum("fpi,fi->fp", loop.frequency_response(omega), step)
+    power = share @ np.abs(response) ** 2
+    power = np.concatenate([power[: held * count].reshape(held, count).mean(axis=0), power[held * count :]])
+    rms, names = excitation.rms * np.sqrt(power), (*model.outputs, *commands)
     if not np.isfinite(rms).all():
-        raise AbraceError(f"prediction: rms of {loop.outputs[np.argmin(np.isfinite(rms))]} is not finite")
-    found = dict(zip(loop.outputs, rms.tolist(), strict=True))
+        raise AbraceError(f"prediction: rms of {names[np.argmin(np.isfinite(rms))]} is not finite")
+    found = dict(zip(names, rms.tolist(), strict=True))
     return {name: 0.0 for name in model.inputs if name != excitation.input} | found
 
 
@@ -113,6 +118,6 @@ def rms_without_and_with_control(
 
     `model` and `controller` are as in `closed_loop`, `excitation` as in `predicted_rms`.
     """
-    plant = sampled(model, controller.sample_period)
+    plant = at_rate(model, controller)
     without, controlled = predicted_rms(plant, None, excitation), predicted_rms(plant, controller, excitation)
     return {name: (without[name], controlled[name]) for name in (*plant.outputs, *controller.outputs)}

@@ -40,8 +40,9 @@ CONSTANTS = """\
 #define ABRACE_STATES {states}
 #define ABRACE_MEASURED {inputs}
 #define ABRACE_COMMANDS {outputs}
-#define ABRACE_SAMPLE_PERIOD {period} /* s */
-#define ABRACE_FADE_SAMPLES {fade} /* of the force's fade-in */
+#define ABRACE_SAMPLE_PERIOD {period} /* s, of the rig: abrace_controller_step is called so often */
+#define ABRACE_HELD_SAMPLES {held} /* of these samples the first is answered, and the command held */
+#define ABRACE_FADE_SAMPLES {fade} /* answered ones, of the force's fade-in */
 #define ABRACE_STOP_SAMPLES {stop} /* of the force's ramp to zero */
 
 /* Eq. (13): U = C q + D y; next q = A q + B y + G (U_acted - U), U_acted being what the limits left of U */
@@ -72,7 +73,7 @@ def c_sources(controller: Controller, rate_limit: float, ramp_time: float) -> di
     AbraceError
         If a limit cannot be used.
     """
-    law, period = controller.law, controller.law.sample_period
+    law, period = controller.law, controller.rig_period
     if not 0 <= ramp_time < float("inf"):
         raise AbraceError(f"ramp_time {ramp_time:g} s, expected 0 or more")
     rates = [rate_limit] * len(law.outputs)
@@ -86,7 +87,8 @@ def c_sources(controller: Controller, rate_limit: float, ramp_time: float) -> di
         inputs=len(law.inputs),
         outputs=len(law.outputs),
         period=repr(period),
-        fade=round(ramp_time / period),
+        held=controller.of_rig(period),
+        fade=round(ramp_time / law.sample_period),
         stop=int(RAMP_TIME / period * (1 + 1e-12)),
     )
     matrices = {"a": law.a, "b": law.b, "c": law.c, "d": law.d, "g": controller.correction}

@@ -99,7 +99,7 @@ def _description(controller: Controller, identifier: str, sources: dict[str, str
             for name in units
         ),
         "</UnitDefinitions>",
-        f'<DefaultExperiment startTime="0" stepSize="{law.sample_period!r}"/>',
+        f'<DefaultExperiment startTime="0" stepSize="{controller.rig_period!r}"/>',
         "<ModelVariables>",
         *variables,
         '<ScalarVariable name="stopped" valueReference="0" causality="output" variability="discrete"',

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node `controller`: Eq. (13) at the rig's sample rate, from a parameter file that `design` wrote.
+"""The node `controller`: Eq. (13) at the rig's sample rate or a part of it, from a parameter file that `design` wrote.
 
 abrace run abrace_lqg controller --ros-args --params-file results/lqg3.yaml
 """
@@ -26,7 +26,13 @@ PARAMETERS = [
     Parameter("model", "", "model that it was designed with"),
     Parameter("weights", "", "weights that it was designed with"),
     Parameter("margins", "", "predicted stability margins"),
-    Parameter("sample_period", 0.002, "s, sample period of the law and the rig", minimum=1e-6),
+    Parameter("sample_period", 0.002, "s, sample period of the law", minimum=1e-6),
+    Parameter(
+        "rig_period",
+        0.0,
+        "s, sample period of the rig, of which the law's is a whole multiple; 0: the law's",
+        minimum=0.0,
+    ),
     Parameter(
         "measured", [], "names of the measured quantities, the law's inputs", element=str, required=True, source=FILE
     ),
@@ -91,8 +97,8 @@ class ControllerNode(BraceCommander):
         controller = controller_from_parameters(parameters, "controller parameters")
         if given.next:
             controller = load_controller(given.next)
-        self.active_controller = ActiveController(controller, given.ramp_time)
-        self.create_topics(controller.law.sample_period, controller.force_limit.tolist(), given.max_lost)
+        self.active_controller = ActiveController(controller, given.ramp_time, given.rig_period)
+        self.create_topics(self.active_controller.rig_period, controller.force_limit.tolist(), given.max_lost)
 
     def prepare_change(self, name: str, value: str) -> Callable[[], None]:
         """The change over to the controller of the file `next`; an empty one that was empty before changes nothing."""

@@ -23,7 +23,7 @@ from abrace_lqg.analysis.disk_margin import DiskMargin, disk_margin
 from abrace_lqg.analysis.margins import Margins, margins_at
 from abrace_lqg.analysis.mode_damping import ModeEffect, mode_effects
 from abrace_lqg.analysis.prediction import Excitation, rms_without_and_with_control
-from abrace_lqg.loop import closed_loop_poles, is_stable
+from abrace_lqg.loop import closed_loop_poles, is_stable, sampled
 from abrace_lqg.proof.limits import OBJECTIONS, WORDING, Limits, Objection, excitation_of, shortfall
 
 if TYPE_CHECKING:
@@ -262,7 +262,8 @@ def prove(
     progress(0, count)
     for name, model in models.items():
         try:
-            one = _prove_with(name, model, design_model, designed, excitation)
+            plant = sampled(model, designed.rig_period)
+            one = _prove_with(name, plant, model.order, design_model, designed, excitation)
             advance()
             if drawn := (ensembles or {}).get(name):
                 one = replace(one, ensemble=_prove_ensemble(drawn, design_model, designed, advance))
@@ -300,13 +301,19 @@ def require(proof: Proof, accept: Collection[str] = ()) -> Proof:
 
 
 def _prove_with(
-    name: str, model: LinearModel, design_model: LinearModel, designed: ControllerDesign, excitation: Excitation
+    name: str,
+    model: LinearModel,
+    order: int,
+    design_model: LinearModel,
+    designed: ControllerDesign,
+    excitation: Excitation,
 ) -> ModelProof:
+    """The proof with a discrete `model`, of which the continuous one is of this `order`."""
     controller = designed.controller
     stable = is_stable(model, controller)
     return ModelProof(
         name=name,
-        order=model.order,
+        order=order,
         stable=stable,
         poles=closed_loop_poles(model, controller),
         margins=margins_at(model, controller) if stable else {},
@@ -326,7 +333,7 @@ def _prove_ensemble(
     found: list[dict[str, Margins]] = []
     modes: list[ModeEffect] = []
     disk = np.inf
-    for model in models:
+    for model in (sampled(one, designed.rig_period) for one in models):
         if is_stable(model, controller):
             found.append(margins_at(model, controller, controller.outputs))
             modes += mode_effects(model, controller, design_model)

@@ -12,6 +12,7 @@ from pydantic import Field
 from abrace_core import AbraceError
 from abrace_core.files.options import NOT_GIVEN, Band, Count, Names, NonNegative, Options
 from abrace_core.model import signals
+from abrace_core.model.lifting import divisor
 from abrace_core.model.linear_model import LinearModel, pole_table, takes_models
 from abrace_core.model.roles import with_roles
 from abrace_core.model.si_units import in_si_units
@@ -67,7 +68,9 @@ class DesignOptions(Limits):
     """Options of the design of a controller, and the limits that it has to keep."""
 
     sample_period: NonNegative = Field(
-        default=0.0, description="s, sample period of the controller; 0: that of the rig of the model's tests"
+        default=0.0,
+        description="s, sample period of the controller: a whole multiple of that of the rig of the model's tests; 0: "
+        "the same",
     )
     force_limit: ForceLimit = Field(
         default=(),
@@ -114,8 +117,10 @@ class DesignOptions(Limits):
         AbraceError
             If the model does not have it, or a controller for it cannot have the one that is given.
         """
+        period = sample_period_of(model, self.sample_period)
+        rig_period_of(model, period)
         found = {
-            "sample_period": sample_period_of(model, self.sample_period),
+            "sample_period": period,
             "force_limit": tuple(force_limit_of(model, self.force_limit)),
             "excitation_band": self.excitation(model).band,
         }
@@ -203,6 +208,26 @@ def sample_period_of(model: LinearModel, given: float = 0.0) -> float:
                 "half the slowest mode's period"
             )
     return float(found)
+
+
+@takes_models
+def rig_period_of(model: LinearModel, sample_period: float) -> float:
+    """The sample period [s] of the rig on which a controller of this `sample_period` [s] is to run.
+
+    It is that of the rig of a model, as its tests had it; of another structure the controller's own.
+
+    Raises
+    ------
+    AbraceError
+        If the controller's is no whole multiple of it.
+    """
+    found = model.provenance.get("sample_period")
+    if not found or not model.provenance.get("rig") or "data" in model.provenance:
+        return sample_period
+    try:
+        return sample_period if divisor(sample_period, found) == 1 else float(found)
+    except AbraceError as error:
+        raise AbraceError(f"sample_period: {str(error).removeprefix('sample period ')}") from error
 
 
 @takes_models

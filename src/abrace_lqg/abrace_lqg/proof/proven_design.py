@@ -15,10 +15,11 @@ from abrace_core.model.controller_file import Controller, save_controller
 from abrace_core.model.linear_model import load_covariance, takes_models
 from abrace_core.model.model_ensemble import draw_models
 from abrace_lqg.design import design
-from abrace_lqg.loop import closed_loop
+from abrace_lqg.loop import closed_loop, sampled
 from abrace_lqg.proof.checks import prove, require
 from abrace_lqg.proof.figures import loop_figure
 from abrace_lqg.proof.files import distrusted, load_models, save_proof, table_lines
+from abrace_lqg.proof.limits import rig_period_of
 from abrace_lqg.scaling import scaled_weights
 
 if TYPE_CHECKING:
@@ -69,7 +70,14 @@ class ProvenDesign:
     @property
     def poles(self) -> NDArray[np.complex128]:
         """Poles of the closed loop with the model of the design, as `LinearModel.poles`."""
-        return closed_loop(next(iter(self.models.values())), self.controller.law).poles
+        return closed_loop(next(iter(self._sampled[0].values())), self.controller.law).poles
+
+    @property
+    def _sampled(self) -> tuple[dict[str, LinearModel], dict[str, list[LinearModel]]]:
+        """Models and ensembles at the rig's sample period."""
+        period = self.controller.rig_period
+        drawn = {name: [sampled(one, period) for one in each] for name, each in self.ensembles.items()}
+        return {name: sampled(model, period) for name, model in self.models.items()}, drawn
 
     def to_pandas(self) -> pandas.DataFrame:
         """Predicted rms with zero command and controlled [SI units], and their ratio, of each quantity.
@@ -86,7 +94,8 @@ class ProvenDesign:
 
     def plot(self) -> Figure:
         """The loop broken at each command: Nichols chart, gain and sensitivity."""
-        return loop_figure(self.proof, self.models, self.controller.law, self.ensembles)
+        models, ensembles = self._sampled
+        return loop_figure(self.proof, models, self.controller.law, ensembles)
 
     def save(self, path: Path | str) -> list[Path]:
         """Write the controller file, for the node `controller`, and the proof's files in its folder; returns paths.
@@ -99,7 +108,8 @@ class ProvenDesign:
         if Path(path).suffix != ".yaml":
             raise AbraceError(f"controller file {path}: expected a name that ends in .yaml")
         controller = replace(self.controller, name=Path(path).stem)
-        written = save_proof(self.proof, self.models, controller.law, path, self.ensembles)
+        models, ensembles = self._sampled
+        written = save_proof(self.proof, models, controller.law, path, ensembles)
         save_controller(controller, path, table_lines(self.proof))
         return [Path(path), *written]
 
@@ -146,8 +156,9 @@ def proven_design(
     name, model = next(iter(models.items()))
     options = options.of_model(model)
     excitation = options.excitation(model)
-    weights = scaled_weights(model, weights, options.sample_period, options.force_limit, excitation)
-    designed = design(model, weights, options.sample_period)
+    rig_period = rig_period_of(model, options.sample_period)
+    weights = scaled_weights(model, weights, options.sample_period, options.force_limit, excitation, rig_period)
+    designed = design(model, weights, options.sample_period, rig_period)
     ensembles = {}
     for known, covariance in (covariances or {}).items() if options.draws else ():
         try:
@@ -169,6 +180,7 @@ def proven_design(
         model=f"{origin or name}, {model.order} states, from {tests}",
         weights=f"{weights_name}: {weights}",
         margins=proof.summary(),
+        rig_period=rig_period,
     )
     return ProvenDesign(controller, proof, models, ensembles)
 

@@ -34,7 +34,7 @@ TIMEOUT, LATE, NUMBER = 0.02, 10, 1
 def simulated_run(
     rig: Rig,
     ground: NDArray[np.float64],
-    force: Callable[[int, list[float]], list[float]],
+    force: Callable[[int, list[float], list[float]], list[float]],
     seed: int = 0,
     source: str = "simulated",
 ) -> Run:
@@ -47,9 +47,9 @@ def simulated_run(
     ground
         (samples,) acceleration of the table [m/s^2], commanded in answer to each sample.
     force
-        Gives the force of one brace of each group (groups,) [N] in answer to a sample: its number, and
+        Gives the force of one brace of each group (groups,) [N] in answer to a sample: its number,
         [displacements, strokes, accelerations, forces] as measured, a force being the mean of its group's, NaN what is
-        not measured. Samples count from the end of the fade.
+        not measured; and the command (groups,) [N] that acted until then. Samples count from the end of the fade.
     seed
         Of the sensors' noise.
     source
@@ -83,7 +83,7 @@ def simulated_run(
         command[k], clipped[k] = sample.command, sample.head.clipped
         cause = cause or sample.cause
         loop.receive_ground_acceleration(sample.stamp, acceleration)
-        loop.receive_command(NUMBER, loop.sequence, force(k, z), "")
+        loop.receive_command(NUMBER, loop.sequence, force(k, z, sample.command), "")
     facts = {
         "rig": rig.name,
         "sample_period": repr(1 / rig.sample_rate),

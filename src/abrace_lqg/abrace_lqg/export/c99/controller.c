@@ -77,32 +77,49 @@ void abrace_controller_start(abrace_controller *controller, const double acting[
     if (controller->stopped)
         for (int i = 0; i < ABRACE_COMMANDS; i++)
             controller->force[i] = 0.0;
+    controller->held = 0;
     begin(controller, controller->force);
+}
+
+/* The law's answer to a sample; 0: it is not finite. */
+static int answer(abrace_controller *controller, const double *measured)
+{
+    double *law = controller->law;
+    for (int i = 0; i < ABRACE_COMMANDS; i++)
+        law[i] = dot(abrace_c[i], controller->state, ABRACE_STATES) + dot(abrace_d[i], measured, ABRACE_MEASURED);
+    if (!all_finite(law, ABRACE_COMMANDS))
+        return 0;
+    if (controller->samples < ABRACE_FADE_SAMPLES)
+        controller->samples++;
+    for (int i = 0; i < ABRACE_COMMANDS; i++) {
+        controller->wanted[i] = controller->initial[i] + half_cosine(controller->samples, ABRACE_FADE_SAMPLES) *
+                                                             (law[i] - controller->initial[i]);
+        controller->more[i] = 0.0;
+    }
+    for (int i = 0; i < ABRACE_STATES; i++)
+        controller->next[i] =
+            dot(abrace_a[i], controller->state, ABRACE_STATES) + dot(abrace_b[i], measured, ABRACE_MEASURED);
+    return 1;
 }
 
 int abrace_controller_step(abrace_controller *controller, const double measured[])
 {
-    double law[ABRACE_COMMANDS], wanted[ABRACE_COMMANDS], difference[ABRACE_COMMANDS], next[ABRACE_STATES];
+    double difference[ABRACE_COMMANDS];
     if (controller->stopped)
         return come_to_rest(controller);
-    if (!all_finite(measured, ABRACE_MEASURED))
+    if (!all_finite(measured, ABRACE_MEASURED) || (!controller->held && !answer(controller, measured)))
         return stop(controller);
-    for (int i = 0; i < ABRACE_COMMANDS; i++)
-        law[i] = dot(abrace_c[i], controller->state, ABRACE_STATES) + dot(abrace_d[i], measured, ABRACE_MEASURED);
-    if (!all_finite(law, ABRACE_COMMANDS))
-        return stop(controller);
-    if (controller->samples < ABRACE_FADE_SAMPLES)
-        controller->samples++;
-    for (int i = 0; i < ABRACE_COMMANDS; i++)
-        wanted[i] = controller->initial[i] +
-                    half_cosine(controller->samples, ABRACE_FADE_SAMPLES) * (law[i] - controller->initial[i]);
-    act(controller, wanted);
-    for (int i = 0; i < ABRACE_COMMANDS; i++)
-        difference[i] = controller->force[i] - law[i];
+    act(controller, controller->wanted);
+    for (int i = 0; i < ABRACE_COMMANDS; i++) {
+        if (!controller->held)
+            controller->first[i] = controller->force[i];
+        controller->more[i] += controller->force[i] - controller->first[i];
+        difference[i] = controller->first[i] + controller->more[i] / ABRACE_HELD_SAMPLES - controller->law[i];
+    }
+    if (++controller->held < ABRACE_HELD_SAMPLES)
+        return 0;
+    controller->held = 0;
     for (int i = 0; i < ABRACE_STATES; i++)
-        next[i] = dot(abrace_a[i], controller->state, ABRACE_STATES) + dot(abrace_b[i], measured, ABRACE_MEASURED) +
-                  dot(abrace_g[i], difference, ABRACE_COMMANDS);
-    for (int i = 0; i < ABRACE_STATES; i++)
-        controller->state[i] = next[i];
+        controller->state[i] = controller->next[i] + dot(abrace_g[i], difference, ABRACE_COMMANDS);
     return 0;
 }
