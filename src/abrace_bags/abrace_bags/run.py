@@ -122,8 +122,8 @@ def _run(source: str, response: TopicArrays, period: float, every: int, facts: d
             raise AbraceError(f"{', '.join(names)} have {sizes} values, expected equal numbers")
     braces = _braces(response, values["stroke"].shape[1], values["force"].shape[1])
     floors, groups = values["displacement"].shape[1], len(braces)
-    every = [*(values[name] for name in ("displacement", "stroke", "acceleration", "force"))]
-    channels = np.column_stack([*every, values["ground_acceleration"]])
+    kinds = ("displacement", "stroke", "acceleration", "force", "ground_acceleration")
+    channels = np.column_stack([values[name] for name in kinds])
     known = signals.channel_names(floors, braces)
     without = tuple(name for name, column in zip(known, channels[0].tolist(), strict=True) if math.isnan(column))
     cells, ends = values["force"], np.cumsum([0, *braces]).tolist()

@@ -38,9 +38,9 @@ class LawSample:
     number
         Number of the sample in its run.
     displacement, acceleration
-        (floors,) of the floors: relative to the table, and absolute.
+        (floors,) of the floors: relative to the table, and absolute. NaN: the rig has no such sensor.
     stroke, force
-        (groups,) of one brace of each group; the force is the mean of the group's load cells.
+        (groups,) of one brace of each group; the force is the mean of the group's load cells. NaN likewise.
     applied
         (groups,) [N], the command for one brace of each group that acted until this sample: what saturation, rate limit
         and fade left of the answer to the last sample but one, unless that was lost or late.
