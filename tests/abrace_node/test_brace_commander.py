@@ -178,6 +178,39 @@ def test_a_rig_in_lockstep_waits_at_its_first_running_sample_of_each_run_for_the
         assert signal.signal == "cancelled"
 
 
+def test_a_sample_of_a_rig_in_lockstep_that_comes_again_is_answered_again_with_the_same_and_computed_once(signal):
+    asked = []
+    signal.force = lambda sequence, *_: asked.append(sequence) or np.array([10.0 * len(asked)])
+    signal.awaits_goal = False
+    sent = []
+    signal.publisher = SimpleNamespace(publish=sent.append)
+    for sequence in (0, 0, 1, 1, 1, 2, 1):
+        sample(signal, 1, sequence)
+    assert asked == [0, 1, 2]
+    assert sent == [sent[0], sent[0], sent[2], sent[2], sent[2], sent[5]]
+    assert len(set(sent)) == 3
+    assert (signal.gate.watch.old, signal.gate.watch.missing) == (1, 0), "but one that is older"
+    sample(signal, 2, 2)
+    assert len(sent) == 7, "another run's sample is a new one"
+
+
+def test_by_the_clock_a_sample_that_comes_again_is_old(signal):
+    signal.awaits_goal = False
+    for sequence in (0, 1, 1):
+        sample(signal, 1, sequence, flags=0)
+    assert len(signal.answers) == 2
+    assert signal.gate.watch.old == 1
+
+
+def test_a_sample_that_waits_for_a_goal_is_answered_once_though_it_comes_again(signal):
+    sample(signal, 1, 0, State.FADING_IN)
+    for _ in range(3):
+        sample(signal, 1, 1)
+    assert signal.answers == [0.0]
+    assert ask_to_play(signal) == "playing"
+    assert signal.answers == [0.0, 100.0]
+
+
 def test_a_sample_that_waits_for_a_goal_is_answered_when_the_node_is_deactivated(signal):
     sample(signal, 1, 0)
     assert signal.answers == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import domain_coordinator
@@ -63,6 +64,21 @@ def test_a_record_begins_where_the_rig_says_that_the_table_is_and_nowhere_else(g
     assert "exceeds the table's limits: displacement 0.3203 m at 5.140 s" in play(node)
     sample(node, 2, 0.0)
     assert play(node) == "playing"
+
+
+def test_a_sample_of_a_rig_in_lockstep_that_comes_again_is_answered_again_with_the_same(ground_motion):
+    node, sent = ground_motion(record="white_noise", duration="2.0"), []
+    node.trigger_configure()
+    node.trigger_activate()
+    node.publisher = SimpleNamespace(publish=sent.append)
+    sample(node, 0, 0.0)
+    assert play(node) == "playing"
+    for sequence in (0, 1, 1, 2):
+        sample(node, sequence, 0.0)
+    first, again, second, second_again, third = sent
+    assert (first, second) == (again, second_again)
+    assert len({first, second, third}) == 3
+    assert node.playback.played == 3
 
 
 def test_a_rig_whose_table_has_its_own_controller_is_refused(ground_motion, tmp_path, capfd):

@@ -140,6 +140,41 @@ def test_two_answers_to_a_sample_are_a_fault(bench):
     assert "expected one sender" in bench.safety.cause
 
 
+@pytest.mark.parametrize("late", [False, True])
+def test_a_sample_that_was_said_again_may_be_answered_again_with_the_same(bench, late):
+    bench.step()
+    bench.loop.say_again()
+    first = bench.loop.sequence
+    for _ in range(3):
+        bench.answer(1.0, 0.01)
+    if late:  # the answer to what was said before has come after all, and the next one, too
+        bench.drive([2.0] * 3, [0.0] * 3)
+        bench.loop.receive_command(RUN, first, [1.0], "")
+        bench.loop.receive_ground_acceleration(bench.samples[0].stamp, 0.01)
+    assert not bench.safety.cause
+    assert bench.loop.missed_deadlines == 0
+    if late:
+        assert bench.loop.moving() == "brace_command still requests 2, expected every input at rest first"
+    bench.answer(3.0)
+    assert f"two messages on brace_command answer sample {bench.loop.sequence}" in bench.safety.cause
+
+
+def test_another_answer_to_a_sample_that_was_said_again_is_a_second_sender(bench):
+    bench.step()
+    bench.loop.say_again()
+    bench.answer(ground=0.01)
+    bench.answer(ground=0.02)
+    assert "two messages on ground_motion answer sample" in bench.safety.cause
+
+
+def test_equal_answers_to_the_sample_after_the_one_said_again_are_two_senders(bench):
+    bench.step()
+    bench.loop.say_again()
+    bench.drive([1.0])
+    bench.answer(1.0)
+    assert "two messages on brace_command answer sample" in bench.safety.cause
+
+
 def test_a_fault_of_the_sender_is_one_of_the_rig(bench):
     bench.drive([2000.0] * 20)
     bench.step()

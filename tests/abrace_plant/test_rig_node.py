@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from types import SimpleNamespace
@@ -161,6 +162,45 @@ def test_a_run_that_ends_by_itself_finishes_the_node_after_its_device_is_closed(
     assert rig.exit_code == 0
     assert rig.devices[0].closed
     until(lambda: rig.at_rest)
+
+
+def test_a_run_of_a_device_that_fails_at_every_tick_ends_in_time_with_its_fault(start, monkeypatch):
+    def fail(*_) -> None:
+        raise DeviceError("the card does not answer")
+
+    monkeypatch.setattr(SlowDevice, "exchange", fail)
+    begun = time.monotonic()
+    rig, ended, finish = start(duration=0.5), [], RigNode.finish
+    monkeypatch.setattr(rig, "finish", lambda *given: (ended.append(given), finish(rig, *given)))
+    until(lambda: rig.exit_code is not None)
+    assert time.monotonic() - begun > 0.5
+    ((code, message),) = ended
+    assert code == 1
+    assert message.startswith("ended with a fault: the card does not answer; ")
+    assert rig.devices[0].safe
+    assert rig.devices[0].closed
+
+
+@pytest.mark.parametrize("period", [0.004, 0.001])
+def test_a_device_of_another_rate_is_a_fault_whatever_its_stamps_say(start, monkeypatch, period):
+    """It says steps of 2 ms, and keeps the samples that are not used yet; a busy computer uses fewer than it could."""
+
+    def exchange(device, *given):
+        device._by_the_clock = False
+        if device.next_stamp == 0:
+            device.begun = time.monotonic()
+        time.sleep(max(0.0, device.begun + device.next_stamp / 2e6 * period - time.monotonic()))
+        return SimulatedRig.exchange(device, *given)
+
+    monkeypatch.setattr(SlowDevice, "exchange", exchange)
+    rig = start(command_timeout=2.0)
+    rig.loop._unwatched_limit = np.inf  # nobody spins the node
+    until(lambda: rig.safety.cause)
+    assert re.match(r"device: (more than 500|\d.*) samples/s .*by this computer's clock", rig.safety.cause)
+    until(lambda: rig.safety.state is State.LATCHED)
+    _, _, values = rig.diagnose()
+    assert values["warning"] == rig.safety.cause
+    assert rig.loop.moving() == rig.safety.cause, "nothing is armed"
 
 
 def test_a_rig_whose_device_does_not_answer_stays_active_and_is_latched_until_a_person_clears_it(start):

@@ -13,9 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import rclpy
+from geometry_msgs.msg import AccelStamped
 from rosbags.highlevel import AnyReader
+from running_graph import STREAM
 
 from abrace_bags import Bag, read_run
+from abrace_core.model.controller_file import Controller, save_controller
+from abrace_core.model.linear_model import LinearModel
 from abrace_interfaces.msg import BraceCommand, Response
 from abrace_node.node import ACKNOWLEDGEMENT_TIMEOUT
 from abrace_node.transport import lockstep_environment
@@ -171,6 +175,77 @@ def test_a_missing_answer_ends_the_run_and_is_named(graph):
     assert line.startswith("[ERROR]")
     assert line.endswith("no answer to sample 0 on brace_command within 0.5 s (lockstep_timeout)")
     assert [message.sequence for message in responses] == [0]
+
+
+class Answers:
+    """Answers of the test itself to each sample, on `brace_command` or `ground_motion`, from its n-th message on."""
+
+    def __init__(self, graph: Any, message_type: type, topic: str, begin: int) -> None:
+        self.responses: list[Response] = []
+        self.begin, self.type = begin, message_type
+        graph.node.create_subscription(Response, "response", self.answer, STREAM)
+        self.publisher = graph.publisher(message_type, topic)
+
+    def answer(self, response: Response) -> None:
+        self.responses.append(response)
+        if len(self.responses) >= self.begin:
+            answer = self.type(header=response.header)
+            if self.type is BraceCommand:
+                answer.run, answer.sequence, answer.force = response.run, response.sequence, [0.0]
+            self.publisher.publish(answer)
+
+
+def test_a_first_sample_whose_answer_was_lost_is_said_again_until_it_is_answered(graph):
+    graph.start("plant", autostart=False, lockstep=True, duration=0.2)
+    assert graph.change_state("plant", "configure")
+    answers = Answers(graph, BraceCommand, "brace_command", begin=3)
+    graph.until_matched("plant", response=1, brace_command=1)
+    graph.may_end.add("plant")
+    assert graph.change_state("plant", "activate")
+    assert graph.ended("plant") == 0, graph.output_of("plant")
+    first, second, third = answers.responses[:3]
+    assert first.sequence == 0
+    assert first == second == third
+    numbers = [one.sequence for one in answers.responses]
+    assert [number for number in numbers if number] == list(range(1, 100)), "each of the others once"
+
+
+def test_a_first_sample_that_is_said_again_changes_nothing_in_the_bag(new_graph, tmp_path):
+    """With the real controller, which answers it twice; the table's answer is the one that was lost."""
+    law = LinearModel([[0.5]], [[0.5]], [[1000.0]], [[0.0]], ("a1",), ("U",), 0.002)
+    file = tmp_path / "law.yaml"
+    save_controller(
+        Controller("law", law, np.zeros((1, 1)), np.zeros((1, 2)), np.array([20e3]), "none", "none", "none"), file
+    )
+    recorded = []
+    for begin in (1, 3):
+        with new_graph() as graph:
+            bag = graph.folder / "bag"
+            graph.start("logger", output=str(bag), topics=list(TOPICS))
+            graph.start("plant", autostart=False, lockstep=True, wait_for=list(TOPICS[1:]), duration=1.0, seed=SEED)
+            graph.start("controller", "--params-file", file)
+            commands = graph.listen(BraceCommand, "brace_command")
+            assert graph.change_state("plant", "configure")
+            answers = Answers(graph, AccelStamped, "ground_motion", begin)
+            graph.until_matched("plant", response=3, brace_command=1, ground_motion=1)
+            graph.until_matched("controller", response=1, brace_command=3)
+            graph.until_matched("logger", response=1, brace_command=1, ground_motion=1)
+            graph.may_end.add("plant")
+            assert graph.change_state("plant", "activate")
+            assert graph.ended("plant") == 0, graph.output_of("plant")
+            run = answers.responses[0].run.to_bytes(8, "little")
+            assert graph.values("controller")["old"] == "0"
+            for name in ("controller", "logger"):
+                assert graph.stop(name) == 0, graph.output_of(name)
+            again = [one.sequence for one in commands].count(0) - 1
+            assert (again >= 2) is (begin == 3), "it was answered again"
+        with AnyReader([bag]) as reader:
+            messages = [(connection.topic, raw.replace(run, bytes(8))) for connection, _, raw in reader.messages()]
+        by_topic = {name: [raw for topic, raw in messages if topic.endswith(name)] for name in TOPICS}
+        assert [len(by_topic[name]) for name in TOPICS] == [500] * 3
+        recorded.append(by_topic)
+        assert np.abs(fields(bag)["brace_command"]["force"]).max() > 0
+    assert recorded[0] == recorded[1]
 
 
 def test_the_first_sample_waits_for_a_node_that_gets_and_answers_it(graph, domain):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from abrace_plant.devices.device import TargetStatus
+    from abrace_plant.devices.device import Reading, TargetStatus
     from abrace_plant.live.loop import Sample
 
     Law = Callable[[int, list[float]], tuple[float, float]]
@@ -80,14 +80,16 @@ class LiveRig:
         self.device.open()
         self.run.start()
 
-    def _noted(self, reading):  # type: ignore[no-untyped-def]
-        sample = self._take(reading)
+    def _noted(self, reading: Reading, clocks: tuple[int, int] | None = None) -> Sample:
+        sample = self._take(reading, clocks)
         self.seen.append(Seen(sample, reading.target))
         return sample
 
-    def _answer(self, sample: Sample) -> None:
-        """Answer a sample at once, with the lock."""
+    def _answer(self, sample: Sample | None) -> None:
+        """Answer a sample, if the device has given one, at once and with the lock."""
         self.loop.note_stops_polled()
+        if sample is None:
+            return
         force, table = self._law(sample.head.sequence, sample.reading) if self.asks else (0.0, 0.0)
         self.loop.receive_command(1, sample.head.sequence, [force], "")
         self.loop.receive_ground_acceleration(sample.stamp, table)

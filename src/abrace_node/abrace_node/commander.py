@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The base classes of nodes that answer the rig's samples: with accelerations of the table, or with brace forces.
 
-They drop old samples, command zero while the rig is stopped, report a fault if the rig stops publishing, and latch the
-node's own faults until a person clears them. A subclass of `BraceCommander` computes the force; it is then checked and
-limited. A signal is played when a person asks for it (`~/play`), in the run that is running then, and never again by
-itself.
+They drop old samples, answer one that a rig in lockstep says again as before, command zero while the rig is stopped,
+report a fault if the rig stops publishing, and latch the node's own faults until a person clears them. A subclass of
+`BraceCommander` computes the force; it is then checked and limited. A signal is played when a person asks for it
+(`~/play`), in the run that is running then, and never again by itself.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from abrace_core.safety.command_guard import CommandGuard
 from abrace_core.safety.rig_safety import ACTING, RAMP_TIME
 from abrace_core.safety.sample_gate import DROP, HOLD, RESTART, SampleGate
 from abrace_core.safety.sample_watch import LONGEST_GAP
-from abrace_core.safety.wire import BraceCommands, Responses
+from abrace_core.safety.wire import LOCKSTEP, BraceCommands, Responses
 from abrace_interfaces.msg import BraceCommand, Response
 from abrace_node.latency import Latency
 from abrace_node.lifecycle import AbraceLifecycleNode
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     import numpy as np
     from numpy.typing import NDArray
+    from rclpy.publisher import Publisher
 
     from abrace_core.safety.wire import Head
 
@@ -54,8 +55,12 @@ class Commander(AbraceLifecycleNode):
     """Why the signal was cancelled."""
     awaits_goal = False
     """Whether the node lets a rig in lockstep wait for the first goal of a run: so each run is the same."""
+    publisher: Publisher
+    """Of the answers; the subclass's `configure` creates it."""
     held_back: tuple[int, Head, tuple[float, ...], int] | None = None
     """The sample that is answered once there is a goal: arguments of `answer`."""
+    answered = b""
+    """The last answer."""
 
     def __init__(self, name: str, table: Sequence[Parameter]) -> None:
         super().__init__(name, table)
@@ -79,6 +84,11 @@ class Commander(AbraceLifecycleNode):
         `SampleGate.receive`, never DROP.
         """
         raise NotImplementedError
+
+    def publish_answer(self, payload: bytes) -> None:
+        """Publish the answer to a sample; `answer` calls it once."""
+        self.answered = payload
+        self.publisher.publish(payload)
 
     def play(self) -> None:
         """Begin the node's signal with the next sample, after `begin_goal`; implemented by subclasses that have one."""
@@ -161,6 +171,11 @@ class Commander(AbraceLifecycleNode):
             cause = "" if head.state in ACTING else self.responses.cause(payload)
         except AbraceError as error:
             self.safety.fault(str(error))
+            return
+        watch = self.gate.watch
+        if head.flags & LOCKSTEP and (head.run, head.sequence) == (watch.run, watch.sequence):
+            if self.held_back is None and self.answered:  # it may have been lost
+                self.publish_answer(self.answered)
             return
         lost = self.gate.receive(stamp, head, cause, time.monotonic())
         if lost in (HOLD, RESTART) or self.safety.cause:
@@ -293,7 +308,7 @@ class BraceCommander(Commander):
             wanted = self.force(head.sequence, z, max(lost, 0)).tolist()
         safety.act([wanted])
         force = self.guard.value
-        self.publisher.publish(self.commands.pack(stamp, head.run, head.sequence, force, safety.cause))
+        self.publish_answer(self.commands.pack(stamp, head.run, head.sequence, force, safety.cause))
         self.latency.add(time.perf_counter_ns() - begin, time.time_ns() - stamp)
         if wanted is not None:
             self.acted(force)

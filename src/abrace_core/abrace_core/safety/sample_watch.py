@@ -17,26 +17,44 @@ _KEPT_RUNS = 1000
 """Number of earlier runs that are remembered."""
 
 
-class _RateCheck:
-    """Compares the mean sample period of the last `samples` with the expected `period` [ns], at every sample.
+class RateCheck:
+    """Compares the mean sample period of the last samples with the expected one, at every sample.
 
     A sample that is late, a rig that was delayed, and a clock that was set change at most `samples` of these means in
     one direction. Only more of them in a row, all wrong in the same direction, are a wrong rate.
+
+    Parameters
+    ----------
+    period
+        Expected sample period [ns].
+    samples
+        Number of samples of each mean.
+    tolerance
+        Greatest relative error of a mean.
+
+    Attributes
+    ----------
+    first
+        Number of the first sample of the last mean.
     """
 
     def __init__(self, period: float, samples: int, tolerance: float) -> None:
         self._period, self._samples, self._tolerance = period, samples, tolerance
         self._received: deque[tuple[int, int]] = deque(maxlen=samples + 1)
         self._wrong_in_a_row = 0
+        self.first = -1
 
-    def update(self, sequence: int, stamp: int) -> str | None:
-        """Why the rate is wrong at this sample, its `stamp` in ns; None: it is not."""
+    def update(self, sequence: int, stamp: int) -> float | None:
+        """The mean period [ns] if that is a wrong rate, up to sample `sequence` with its `stamp` [ns]; None: it is not.
+
+        After a wrong rate, the next sample is the first one.
+        """
         received = self._received
         received.append((sequence, stamp))
         if len(received) <= self._samples:
             return None
-        first, since = received[0]
-        mean = (stamp - since) / (sequence - first)
+        self.first, since = received[0]
+        mean = (stamp - since) / (sequence - self.first)
         error = mean / self._period - 1
         if abs(error) <= self._tolerance:
             self._wrong_in_a_row = 0
@@ -47,10 +65,7 @@ class _RateCheck:
         if abs(self._wrong_in_a_row) <= self._samples:
             return None
         self.restart()
-        return (
-            f"samples {first} to {sequence} come {mean * 1e-6:g} ms apart, "
-            f"expected {self._period * 1e-6:g} ms (sample rate)"
-        )
+        return mean
 
     def restart(self) -> None:
         """Forget the samples so far."""
@@ -83,7 +98,8 @@ class SampleWatch:
     def __init__(self, sample_period: float, longest_gap: int = LONGEST_GAP) -> None:
         self._longest_gap = longest_gap
         self._earlier: deque[int] = deque(maxlen=_KEPT_RUNS)
-        self._rate_checks = [_RateCheck(sample_period * 1e9, *check) for check in RATE_CHECKS]
+        self._period = sample_period * 1e9
+        self._rate_checks = [RateCheck(self._period, *check) for check in RATE_CHECKS]
         self.run = self.sequence = -1
         self.missing = self.old = 0
         self.problem: str | None = None
@@ -128,8 +144,12 @@ class SampleWatch:
             self.problem = f"{lost} samples lost before sample {sequence}, at most {self._longest_gap} can be bridged"
         # from the second sample on: the first one of a rig may be delayed
         for check in self._rate_checks:
-            problem = check.update(sequence, stamp)
-            self.problem = self.problem or problem
+            mean = check.update(sequence, stamp)
+            if mean is not None and self.problem is None:
+                self.problem = (
+                    f"samples {check.first} to {sequence} come {mean * 1e-6:g} ms apart, "
+                    f"expected {self._period * 1e-6:g} ms (sample rate)"
+                )
         return lost
 
     def restart(self) -> None:

@@ -6,8 +6,8 @@ t_k. Commands act when the target has taken a new arm number, and as long as it 
 
 These are faults, after which table and braces come to rest together: an input that is missing while its force or table
 acts, two commands for one sample, a value that is not finite, a sender's own fault, samples that are late or missed,
-stop buttons that are not polled, a device that fails, a target that does not follow, and a tripped interlock. Rest is
-what load cells and table show, not what is commanded.
+stop buttons that are not polled, a device that fails or whose ticks are not those of the rig file, a target that does
+not follow, and a tripped interlock. Rest is what load cells and table show, not what is commanded.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from abrace_core.safety.table_guard import TableGuard
 from abrace_core.safety.wire import LAST, LATE, LOCKSTEP, RATE_LIMITED, SATURATED, STOP_PRESSED, TABLE_LIMITED, Head
 from abrace_plant.devices.device import Wanted, exchange
 from abrace_plant.live.rest import RestCheck
+from abrace_plant.live.ticks import Ticks
 from abrace_plant.rig.interlocks import Interlocks
 from abrace_plant.rig.sensors import OverRange
 from abrace_plant.rig.table_file import NOT_DRIVEN
@@ -81,14 +82,18 @@ class _Input:
         self.pending: Sequence[float] | None = None
         self.last_value: Sequence[float] = ()
         self.fault = ""
-        self.last_answered = self.last_heard = -1
+        self.last_answered = self.last_heard = self.said_again = -1
         self.late = self.late_in_a_row = 0
 
     def receive(self, sequence: int, value: Sequence[float], now: int) -> str:
         """Accept an answer to sample `sequence` after sample `now`; returns why it is a fault, or nothing.
 
-        One that is later than the time-out does not act.
+        One that is later than the time-out does not act. A sample that was said again may be answered again.
         """
+        if sequence == self.said_again and (
+            sequence < self.last_answered or (sequence == self.last_answered and value == self.last_value)
+        ):
+            return ""
         self.hear(value, now)
         late = sequence != now
         self.late_in_a_row = self.late_in_a_row + 1 if late else 0
@@ -166,6 +171,8 @@ class RigLoop:
         Samples so far that were taken late, and that were missed.
     interlocks
         Of the rig.
+    ticks
+        Of the device, as they are judged.
     clipped
         By channel, readings so far at an end of its range.
     ending
@@ -197,6 +204,7 @@ class RigLoop:
         self._braces, self._table = braces, table
         self._table_driven = rig.table_driven
         self.interlocks = Interlocks(rig)
+        self.ticks = Ticks(rig.sample_rate)
         self._rest = RestCheck(rig, self.interlocks.table.get("force_error"))
         self._over_range = OverRange(rig.channel_sensors)
         self._names, self._bits = rig.channel_names, rig.bits_in_message
@@ -243,6 +251,11 @@ class RigLoop:
         elif problem := self._inputs[GROUND].receive(sequence, [acceleration], self.sequence):
             self._safety.fault(problem)
 
+    def say_again(self) -> None:
+        """Note that the last sample is published once more: an equal answer is then none of a second sender."""
+        for given in self._inputs.values():
+            given.said_again = self.sequence
+
     def has_answer(self, name: str) -> bool:
         """Whether the last sample has been answered on the topic `name`: `brace_command` or `ground_motion`."""
         return self._inputs[name].last_answered == self.sequence
@@ -261,12 +274,19 @@ class RigLoop:
         now = self.sequence
         return all(one.last_answered == now for one in self._inputs.values() if not (one.slow or one.silent(now)))
 
+    @property
+    def settles(self) -> bool:
+        """Whether nothing is armed yet, because the device's ticks have not been judged for long enough."""
+        return self.ticks.begins and self._safety.state is State.ARMING
+
     def moving(self) -> str:
         """Why commands may not act; empty: they may.
 
-        An input is not at rest, the table may be anywhere or stands where its interlock would trip at once, or rest has
-        not been measured since the last fault or stop.
+        The device's ticks are wrong, an input is not at rest, the table may be anywhere or stands where its interlock
+        would trip at once, or rest has not been measured since the last fault or stop.
         """
+        if self.ticks.problem:
+            return self.ticks.problem
         if moving := "; ".join(filter(None, (one.moving(self.sequence) for one in self._inputs.values()))):
             return f"{moving}, expected every input at rest first"
         if self._table.lost and (self._target is None or self._target.table is None):
@@ -298,12 +318,13 @@ class RigLoop:
     def _wanted(self) -> tuple[Wanted, int]:
         """What is wanted of the target, and the arm number; 0: it is void."""
         if self._safety.state is State.ARMING and self._target is not None:
-            if not (problem := self.moving()):
+            if problem := self.moving():
+                self._safety.fault(problem)  # before the target has power
+            elif not self.settles:
                 if self._asked_since is None:
                     self._asked_since = self.sequence
                 self._arm = self._target.last_arm % (2**32 - 1) + 1  # 0 is none
                 return Wanted.HOLD_ZERO, self._arm
-            self._safety.fault(problem)  # before the target has power
         self._asked_since = None
         if self._safety.at_rest or self._safety.state is State.NOT_AT_REST:
             self._arm = 0
@@ -330,12 +351,18 @@ class RigLoop:
         """Note that the last commands are sent once more."""
         self._braces.repeat()
 
-    def take(self, reading: Reading) -> Sample:
-        """The sample that the device has given as a `reading`."""
+    def take(self, reading: Reading, clocks: tuple[int, int] | None = None) -> Sample:
+        """The sample that the device has given as a `reading`.
+
+        `clocks`: this computer's monotonic and wall clock [ns] in a run by the clock.
+        """
         missed = reading.missed if self.sequence >= 0 else 0  # what was before the first sample is not of this run
         self.sequence += 1 + missed
         self._stamps.append((reading.stamp, self.sequence))
         self.missed += missed
+        self.ticks.take(self.sequence, int(reading.stamp), clocks, reading.age)
+        if self.ticks.problem and self._safety.acting:
+            self._safety.fault(self.ticks.problem)
         self._check_target(reading.target)
         self._braces.commands_in_flight = reading.commands_in_flight
         late = reading.age >= self._period
@@ -440,6 +467,7 @@ class RigLoop:
         """The device has given none of so many `samples`, because of a `problem`."""
         self.sequence += samples
         self.missed += samples
+        self.ticks.restart()
         self._braces.commands_in_flight = 0
         self._table.lost |= self._table.moving
         self._safety.fault(problem)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run of a rig in real time: a thread sends commands to the device, waits for its sample, and publishes it.
 
-Samples are never more than `LONGEST_BURST` ahead of the clock, whatever the device does: ramps count samples.
+Samples are never more than `LONGEST_BURST` ahead of the clock, whatever the device does: ramps count samples. Before
+the target is armed they may be: so no old ones wait in the device, and one that is too quick is found.
 """
 
 from __future__ import annotations
@@ -29,8 +30,9 @@ SENDING_SHARE = 0.1
 """Share of the sample period that a command may take until the device has it."""
 LONGEST_BURST = 0.01
 """Seconds by which a device's samples may be ahead of the clock, after it was delayed."""
-FASTEST = 1.002
-"""Share of the rig's sample rate that a device's ticks may have for ever: its clock is another one."""
+FASTEST = 1.008
+"""Share of the rig's sample rate at which a device makes up for a delay; one that goes on so is too quick (`Ticks`),
+and by stamps of its arrival no sample is."""
 
 
 class RealTimeRun(threading.Thread):
@@ -45,7 +47,7 @@ class RealTimeRun(threading.Thread):
     lock
         Held by whoever uses the loop; released while the device is waited for.
     publish
-        Called with each sample, with the lock.
+        Called with each sample, and with None where the device has failed instead, with the lock.
     over
         Called, without the lock, when the run is over; what broke it off, and why the device could not be made safe or
         closed, is in `errors`.
@@ -59,7 +61,7 @@ class RealTimeRun(threading.Thread):
         device: Device,
         sample_period: float,
         lock: threading.RLock,
-        publish: Callable[[Sample], None],
+        publish: Callable[[Sample | None], None],
         over: Callable[[], None],
         prepare: Callable[[], None],
     ) -> None:
@@ -116,12 +118,14 @@ class RealTimeRun(threading.Thread):
                 samples += failed
                 with self._input_arrived:
                     loop.fail(str(error), failed)
+                    self._publish(None)
                 continue
             tick, applied = monotonic() - max(0.0, reading.age), reading.command_applied
             samples += 1 + reading.missed
             # a device that makes up for a delay without saying so would also make ramps so much faster
-            accounted = max(accounted + (1 + reading.missed) * period / FASTEST, tick)
+            accounted = tick if loop.settles else max(accounted + (1 + reading.missed) * period / FASTEST, tick)
             if (ahead := accounted - LONGEST_BURST - monotonic()) > 0:
                 time.sleep(ahead)
+            clocks = time.monotonic_ns(), time.time_ns()
             with self._input_arrived:
-                self._publish(loop.take(reading))
+                self._publish(loop.take(reading, clocks))

@@ -174,7 +174,7 @@ class GroundMotion(Commander):
         if playback is not None and head.run != self.gate.goal_run:
             self.end_motion(playback)
         acceleration = playback.answer(head.sequence) if playback is not None else 0.0
-        self.publisher.publish(pack_acceleration(stamp, acceleration))
+        self.publish_answer(pack_acceleration(stamp, acceleration))
         if playback is not None and playback.done and self.signal == PLAYING:
             self.signal = OVER
         if playback is not None and goal is not None:

@@ -49,6 +49,9 @@ PARAMETERS = [
 ]
 
 
+REPEAT_PERIOD = 0.5
+"""Seconds after which the first sample of a lockstep run is said again, while it is not answered: who gets it may not
+have found yet who hears the answer. Later answers cannot be lost so."""
 SUBSCRIBER_PATIENCE = 30.0
 """Seconds within which a slow subscriber has to accept messages; DDS removes a killed one after 20 s."""
 
@@ -57,6 +60,8 @@ class Plant(RigNode):
     """Samples the simulated rig, by the clock or in lockstep with its inputs."""
 
     simulated: SimulatedRig | None = None
+    said = b""
+    """The last response."""
 
     def __init__(self) -> None:
         super().__init__("plant", PARAMETERS)
@@ -89,14 +94,22 @@ class Plant(RigNode):
             self.due = time.monotonic()
 
     def tick(self) -> None:
-        """In lockstep take the first sample once all nodes have been found, or end because an answer is missing."""
+        """In lockstep take the first sample once all nodes have been found and say it again until it is answered.
+
+        Where an answer is missing for too long, end.
+        """
         assert self.loop is not None
+        now = time.monotonic()
         if self.loop.sequence < 0:
             if all(self.finds_commander(self.response, self.inputs[name]) for name in self.parameters.wait_for):
-                self.began = time.monotonic()
+                self.began = now
                 self.step()
             else:
-                self.due = time.monotonic() + DISPLAY_PERIOD
+                self.due = now + DISPLAY_PERIOD
+        elif self.loop.sequence == 0 and now < self.given_up:
+            self.loop.say_again()
+            self.send(self.said)
+            self.due = min(now + REPEAT_PERIOD, self.given_up)
         else:
             missing = [name for name in self.parameters.wait_for if not self.loop.has_answer(name)]
             self.due = None
@@ -110,10 +123,13 @@ class Plant(RigNode):
         """Take the next sample of a run in lockstep."""
         assert self.loop is not None
         self.publish_sample(self.loop.step())
-        self.due = time.monotonic() + self.parameters.lockstep_timeout
+        now = time.monotonic()
+        self.given_up = now + self.parameters.lockstep_timeout
+        self.due = min(self.given_up, now + REPEAT_PERIOD) if self.loop.sequence == 0 else self.given_up
 
     def send(self, payload: bytes) -> None:
         """Publish a response; in lockstep wait for a subscriber that is behind."""
+        self.said = payload
         given_up = time.monotonic() + SUBSCRIBER_PATIENCE
         while True:
             try:

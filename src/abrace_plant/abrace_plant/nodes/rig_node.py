@@ -162,7 +162,7 @@ class RigNode(AbraceLifecycleNode):
                 self.device,
                 1 / rig.sample_rate,
                 self.lock,
-                self.catching(self.publish_sample),
+                self.catching(self.on_tick),
                 self.run_over,
                 self.catching(self.prepare),
             )
@@ -248,8 +248,18 @@ class RigNode(AbraceLifecycleNode):
         else:
             self.finish(0, f"done: {counts}")
 
+    def on_tick(self, sample: Sample | None) -> None:
+        """Publish a sample of a run by the clock, if the device has given one; end the run after its last tick."""
+        if sample is not None:
+            self.publish_sample(sample)
+        assert self.loop is not None
+        # the last sample itself may have been missed
+        if self.configured and 0 <= self.last_sequence <= self.loop.sequence:
+            self.done = self.loop.give_up = True
+            self.come_to_rest()
+
     def publish_sample(self, sample: Sample) -> None:
-        """Publish a sample, report a fault that is new, and end the run after its last one."""
+        """Publish a sample, and report a fault that is new."""
         if not self.configured:
             return  # the device has answered after the clean-up, which has destroyed the topics
         rig, reading = self.rig, self.rig.as_in_message(sample.reading)
@@ -275,11 +285,6 @@ class RigNode(AbraceLifecycleNode):
             self.next_display = now + DISPLAY_PERIOD
             stamp = Time(sec=sample.stamp // 10**9, nanosec=sample.stamp % 10**9)
             self.defer(lambda: self.show(stamp, [reading[i] for i in self.shown]))
-        # the last one itself may have been missed
-        if 0 <= self.last_sequence <= sample.head.sequence and not self.lockstep:
-            assert self.loop is not None
-            self.done = self.loop.give_up = True
-            self.come_to_rest()
 
     def send(self, payload: bytes) -> None:
         """Publish a response."""
@@ -365,6 +370,6 @@ class RigNode(AbraceLifecycleNode):
             utilisation, greatest = self.loop.interlocks.utilisation(), self.loop.interlocks.greatest()
             values |= {f"interlock {name}": f"{100 * share:.0f} % of its limit" for name, share in utilisation.items()}
             values |= {f"peak {name}": f"{greatest[name]:.4g}" for name in PEAKS if name in greatest}
-            if warnings := self.loop.interlocks.warnings:
-                values["warning"] = "; ".join(map(str, warnings))
+            if warnings := [*filter(None, [self.loop.ticks.problem]), *map(str, self.loop.interlocks.warnings)]:
+                values["warning"] = "; ".join(warnings)
         return fault, self.safety.state.words if self.active else "not active", values
