@@ -43,6 +43,7 @@ from record_accuracy import verify_records
 from rig_accuracy import verify_rig
 from rig_as_it_is import verify_as_a_rig
 from safety import verify_safety, verify_state_table
+from sparse_rig import verify_sparse_rig
 from target_stops import verify_target
 from validity import verify_validity
 
@@ -109,6 +110,9 @@ def parts(record: Path | None, measured: Path | None, robot_arm: Path | None) ->
         "safety": Part(("safety",), "every state with every event; what may go wrong, on running nodes", verify_safety),
         "killed_nodes": Part(
             ("killed_nodes",), "nodes that command nothing, killed while a force acts", verify_killed_nodes
+        ),
+        "sparse_rig": Part(
+            ("sparse_rig",), "six floors, accelerometers on three: lockstep, UDP target, simulation", verify_sparse_rig
         ),
         "exceptions": Part(
             ("exceptions",), "an exception in every callback and task of every live node", verify_exceptions
