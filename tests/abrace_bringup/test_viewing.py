@@ -13,12 +13,14 @@ from bag_of_run import write_bag
 
 from abrace import simulate
 from abrace_bags import Bag
+from abrace_bringup.page import view
 from abrace_bringup.page.samples import ResponseReader, names_of
 from abrace_bringup.viewing.layout import foxglove_layout
 from abrace_core import AbraceError
 from abrace_core.model.table_signals import table_noise
 from abrace_interfaces.msg import Response
 from abrace_plant.rig.file import load_rig
+from abrace_plant.rig.robot_description import joint_names
 
 ROOT = Path(__file__).parents[2]
 RIG = load_rig(ROOT / "src/abrace_plant/config/ncree_three_storey.yaml")
@@ -57,6 +59,23 @@ def test_of_a_rig_whose_size_changes_the_last_samples_are_read(tmp_path):
     assert reader.read(payloads).names == names_of(FIVE.floors, FIVE.groups)
     with pytest.raises(AbraceError, match="message 0: has too few bytes"):
         reader.read([b"\x00\x01\x00\x00\x00\x00\x00\x00"])
+
+
+def test_what_is_not_measured_is_on_no_page_and_in_no_viewer(tmp_path):
+    rig = load_rig(ROOT / "src/abrace_plant/config/six_storey.yaml")
+    run = simulate(rig, np.zeros(5))
+    write_bag(run, tmp_path / "bag")
+    samples = ResponseReader().read([one.payload for one in Bag(tmp_path / "bag").raw()])
+    shown = view.on_screen(samples, rig)
+    names = view.rig_view(rig)["channels"]
+    assert names == ["a2", "a4", "a6", "f1", "f2", "w", "U1", "U2"]
+    np.testing.assert_allclose(shown[:, names.index("a4")], run["a4"], rtol=1e-14)
+    np.testing.assert_allclose(shown[:, names.index("f2")], run["f2"] / 1000, rtol=1e-14)
+    assert not joint_names(rig)
+    layout = foxglove_layout(6, (2, 1), "/rig/response", "/rig/robot_description", rig.not_measured).decode()
+    assert set(re.findall(r"acceleration\[(\d)\]", layout)) == {"1", "3", "5"}
+    assert "displacement[" not in layout
+    assert "force[2]" in layout
 
 
 @pytest.mark.parametrize("rig", [RIG, FIVE], ids=["three", "five"])

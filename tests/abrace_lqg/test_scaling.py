@@ -55,13 +55,20 @@ def test_a_reduction_that_no_weight_gives_is_refused(five):
         scaled(five, reduction=0.99)
 
 
-def test_a_reduction_of_displacements_needs_displacements(five):
+def test_a_reduction_is_that_of_the_accelerations_where_there_are_no_displacements_and_of_nothing_else(five):
     half = load_weights(SOURCE / "abrace_lqg/config/half.yaml")
-    model = five.model.select(outputs=[f"a{floor}" for floor in range(1, 6)])
-    with pytest.raises(
-        AbraceError, match=r"scale\.reduction: the model has no displacements, only a1, a2, a3, a4, a5, "
-    ):
-        scaled_weights(model, half, PERIOD, five.capacity.tolist(), EXCITATION)
+    accelerations, rest = [f"a{floor}" for floor in range(1, 6)], ["f1", "f2"]
+    model, capacity = five.model.select(outputs=[*accelerations, *rest]), five.capacity.tolist()
+    weights = scaled_weights(model, half, PERIOD, capacity, EXCITATION)
+    plant = sampled(model, PERIOD)
+    controlled = predicted_rms(plant, design(model, weights, PERIOD).controller, EXCITATION)
+    without = predicted_rms(plant, None, EXCITATION)
+    left = np.mean([controlled[name] / without[name] for name in accelerations])
+    assert left == pytest.approx(0.5, abs=0.02)
+    weighed = half.weights.model_copy(update={"force": 1.0})
+    forces = half.model_copy(update={"measured": rest, "weights": weighed})
+    with pytest.raises(AbraceError, match=r"no displacements and no accelerations, only f1, f2, expected scale\.force"):
+        scaled_weights(model.select(outputs=rest), forces, PERIOD, capacity, EXCITATION)
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,19 @@ RIGS = {
 for rig in RIGS.values():
     del rig["interlocks"]  # limits are checked by themselves: test_limits.py
 PAPERS = RIGS["ncree_three_storey"]
-DIMENSIONLESS = {"count", "floor", "bits", "shapes", "rayleigh.modes", "p_delta", "storey", "exponent", "beta", "order"}
+DIMENSIONLESS = {
+    "count",
+    "floor",
+    "bits",
+    "shapes",
+    "rayleigh.modes",
+    "p_delta",
+    "storey",
+    "exponent",
+    "beta",
+    "order",
+    "channels",
+}
 Keys = tuple[str | int, ...]
 
 

@@ -15,13 +15,10 @@ from bag_of_run import write_bag
 from udp_target import LAYOUT
 
 from abrace_bags import read_run
-from abrace_bringup.page import view
-from abrace_bringup.page.samples import ResponseReader
-from abrace_bringup.viewing.layout import foxglove_layout
 from abrace_core import AbraceError
 from abrace_core.model import signals
 from abrace_core.model.own_law import GuardedLaw
-from abrace_core.safety.wire import LOCKSTEP, Head, Responses
+from abrace_core.safety.wire import Head, Responses
 from abrace_plant.devices.layout import Packet, read_layout
 from abrace_plant.devices.sensor_check import check_sensors
 from abrace_plant.live.simulated_run import simulated_run
@@ -29,7 +26,6 @@ from abrace_plant.nodes.check_sensors import recorded_readings
 from abrace_plant.rig.detectors import cells_missing, missing_sensors
 from abrace_plant.rig.file import load_rig
 from abrace_plant.rig.interlocks import Interlocks
-from abrace_plant.rig.robot_description import joint_names
 from abrace_plant.rig.sensors import KINDS
 
 if TYPE_CHECKING:
@@ -227,27 +223,6 @@ def test_sensors_are_checked_from_the_record_of_such_a_rig(three, tmp_path):
     assert "dead" in check_sensors(three, readings).channels[1].faults[0]
     with pytest.raises(AbraceError, match=r"has the channels a1, a3, .*, expected those of the rig five_storey: x1"):
         recorded_readings(run, COMPLETE)
-
-
-def test_pages_and_viewers_show_what_is_measured(three):
-    run = simulated_run(three, MOTION, push)
-    payloads, packed = [], Responses()
-    for k, row in enumerate(run.outputs[:5].tolist()):
-        a1, a3, a5, f1, f2 = row
-        every = three.as_in_message([a1, a3, a5, f1, f1, f2, run.ground_acceleration[k]])
-        arrays = every[:5], every[7:12], every[5:7], every[12:15], run.command[k].tolist()
-        payloads.append(packed.pack(k, Head(k, 1, 0, LOCKSTEP, 3), "", (2, 1), *arrays, every[15], 0.0))
-    samples = ResponseReader().read(payloads)
-    shown = view.on_screen(samples, three)
-    assert view.rig_view(three)["channels"] == ["a1", "a3", "a5", "f1", "f2", "w", "U1", "U2"]
-    np.testing.assert_allclose(shown[:, 1], run["a3"][:5], rtol=1e-14)
-    np.testing.assert_allclose(shown[:, 4], run["f2"][:5] / 1000, rtol=1e-14)
-    assert np.isfinite(shown).all()
-    assert not joint_names(three)
-    layout = foxglove_layout(5, (2, 1), "/rig/response", "/rig/robot_description", three.not_measured).decode()
-    assert "displacement[" not in layout
-    assert '"acceleration[1]"' not in layout
-    assert "/rig/response.acceleration[4]" in layout
 
 
 def test_an_own_law_gets_nan_for_what_is_not_measured_and_stops_at_a_sensor_that_fails():

@@ -87,9 +87,9 @@ def channel_names(floors: int, braces: Sequence[int]) -> tuple[str, ...]:
 
 
 def recorded_names(floors: int, braces: Sequence[int], without: Collection[str]) -> tuple[str, ...]:
-    """The `response_names` of a rig that has no sensor for the channels `without`.
+    """The `response_names` of a rig of `floors` floors that has no sensor for the channels `without`.
 
-    A group's force is recorded if one of its load cells is there.
+    `braces` is their number in each group. A group's force is recorded if one of its load cells is there.
 
     >>> recorded_names(2, [2], ["x1", "xf", "a2", "fb"]), recorded_names(1, [1], ["f"])
     (('x2', 'a1', 'f'), ('x1', 'xf', 'a1'))

@@ -236,7 +236,7 @@ class Rig:
         return every
 
     def bits_in_message(self, clipped: int) -> int:
-        """The bits of channels, bit i that of `channel_names[i]`, as bits of `signals.channel_names`."""
+        """The bits of `clipped`, bit i that of `channel_names[i]`, as bits of `signals.channel_names`."""
         if not self.not_measured:
             return clipped
         return sum((clipped >> i & 1) << place for i, place in enumerate(self.channel_places))
@@ -250,7 +250,7 @@ class Rig:
         return every[[place for place in self.channel_places if place < len(every)]].astype(np.intp)
 
     def readings_of(self, outputs: NDArray[np.float64], ground: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(samples, channels) what exact sensors read of `outputs` z (samples, outputs) and the table (samples,)."""
+        """(samples, channels) what exact sensors read of `outputs` z (samples, outputs) and `ground` (samples,)."""
         every = np.column_stack([outputs[:, self.measured_outputs], ground])
         return every[:, : len(self.channel_names)]
 

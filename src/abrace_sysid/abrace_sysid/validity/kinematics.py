@@ -189,7 +189,7 @@ def contradictions(motion: Motion, lines: NDArray[np.int64], hidden: Collection[
 
 
 def comparable(motion: Motion) -> bool:
-    """Whether a test has sensors that can contradict each other."""
+    """Whether the test of a `motion` has sensors that can contradict each other."""
     floors = [(f"x{floor}" in motion.spectra, f"a{floor}" in motion.spectra) for floor in range(1, motion.floors + 1)]
     pairs = signals.GROUND in motion.spectra and any(all(both) for both in floors)
     heights = max(sum(one) for one in zip(*floors, strict=True)) > 1
