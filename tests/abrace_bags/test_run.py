@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from abrace_bags import Bag, BagWriter, describe, read_run, read_runs
 from abrace_bags.stamps import MOST, StampStream
 from abrace_core import AbraceError
+from abrace_core.safety.wire import LOCKSTEP
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -111,6 +112,16 @@ def samples(*numbers: tuple[int, Sequence[int]]) -> list[Any]:
             found.append(response(k))
             found[-1].run = run
     return found
+
+
+def test_a_sample_that_a_rig_in_lockstep_says_again_counts_once(tmp_path: Path) -> None:
+    recorded = samples((1, [0, 0, 0, 1, 2]), (2, [0, 0, 1]))
+    for one in recorded:
+        one.flags = LOCKSTEP
+    one, other = read_runs(write(tmp_path / "bag", recorded, {"sample_period": "0.004"}))
+    assert (one.sequence.tolist(), other.sequence.tolist()) == ([0, 1, 2], [0, 1])
+    recorded[1].header.stamp.nanosec += 1
+    assert len(read_runs(write(tmp_path / "other", recorded, {"sample_period": "0.004"}))) == 4, "another sample"
 
 
 @pytest.mark.parametrize(

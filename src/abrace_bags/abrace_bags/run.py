@@ -14,6 +14,7 @@ from abrace_bags.stamps import stamped_times
 from abrace_core import AbraceError
 from abrace_core.model import signals
 from abrace_core.model.run import Run
+from abrace_core.safety.wire import LOCKSTEP
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -60,6 +61,7 @@ def runs_of(
     missing = [name for name in (*_VECTORS, "sequence", "ground_acceleration") if name not in response.fields]
     if missing:
         raise AbraceError(f"has no field {missing[0]}, expected this version's {RESPONSE_TYPE}")
+    response = _said_once(response)
     sequence = response.fields["sequence"]
     again = sequence[1:] <= sequence[:-1]
     if "run" in response.fields:
@@ -91,7 +93,7 @@ def runs_of(
                 of_piece["warnings"] = found
             if every > 1:
                 of_piece["every"] = every
-            pieces.append(_run(name, _part(response, first, last), period, every, of_piece))
+            pieces.append(_run(name, _part(response, slice(first, last)), period, every, of_piece))
         runs.append(pieces)
     return runs
 
@@ -104,12 +106,27 @@ def _gaps(sequence: NDArray[np.uint64], edges: list[int], every: int, period: fl
     return f"a gap after sample {before} ({missing} samples, {missing * period:g} s){more}"
 
 
-def _part(response: TopicArrays, begin: int, end: int) -> TopicArrays:
+def _said_once(response: TopicArrays) -> TopicArrays:
+    """The samples without those that a rig in lockstep has said again, until they were answered.
+
+    `logger` does not record them, `ros2 bag record` does.
+    """
+    fields = response.fields
+    if not {"flags", "run"} <= fields.keys():
+        return response
+    stamp = ("header.stamp.sec", "header.stamp.nanosec")
+    same = fields["flags"][1:] & LOCKSTEP != 0
+    for name in ("sequence", "run", *stamp):
+        same = same & (np.diff(fields[name]) == 0)
+    return _part(response, np.concatenate([[True], ~same])) if same.any() else response
+
+
+def _part(response: TopicArrays, which: slice | NDArray[np.bool_]) -> TopicArrays:
     return TopicArrays(
         response.type_name,
-        {name: values[begin:end] for name, values in response.fields.items()},
-        response.log_time[begin:end],
-        response.publish_time[begin:end],
+        {name: values[which] for name, values in response.fields.items()},
+        response.log_time[which],
+        response.publish_time[which],
     )
 
 
