@@ -122,6 +122,9 @@ def _campaign(rig: Rig, way: str) -> dict[str, Any]:
         **_errors(rig, poles),
         "prediction": max(row.noise_free_error for row in comparison.simulated_vs_measured.values()),
         "trusted": found.validity["model"].verdict is Verdict.TRUST,
+        "not_trusted_for": [
+            one.meaning for one in found.validity["model"].findings if one.verdict is not Verdict.TRUST
+        ],
         "recorded": list(run.names),
         "false_words": len(words),
         "words": words[:10],
