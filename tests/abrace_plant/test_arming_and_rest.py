@@ -10,9 +10,10 @@ import pytest
 
 from abrace_core import AbraceError
 from abrace_core.safety.rig_safety import RAMP_TIME, REST_TIME, RigSafety, State
-from abrace_plant.devices.device import Wanted
+from abrace_plant.devices.device import Reading, TargetStatus, Wanted
 from abrace_plant.devices.simulated import SimulatedRig
 from abrace_plant.live.loop import ARMING_TIME, RigLoop, rig_outputs
+from abrace_plant.live.rest import RestCheck
 from abrace_plant.rig.file import load_rig
 
 CONFIG = Path(__file__).parents[2] / "src/abrace_plant/config"
@@ -32,6 +33,7 @@ class Target(SimulatedRig):
     cause = ""
     stuck = None
     drift = 0.0
+    moved = 0.0
     measures = True
 
     def __init__(self, rig, seed=1) -> None:
@@ -47,7 +49,7 @@ class Target(SimulatedRig):
         if self.stuck is not None:
             reading.values[-3:-1] = self.stuck
         status = reading.target
-        place = status.table + self.drift * len(self.asked) / RATE
+        place = status.table + self.moved + self.drift * len(self.asked) / RATE
         return reading._replace(target=status._replace(cause=self.cause, table=place if self.measures else None))
 
 
@@ -365,6 +367,41 @@ def test_a_table_that_was_stopped_beyond_its_interlock_has_to_be_brought_back_be
     bench.safety.clean_up()
     bench.safety.configure(rig_outputs(rig), 1 / rig.sample_rate)
     bench.safety.clear()
+
+
+def test_a_fault_is_cleared_by_where_the_table_is_measured_to_stand_whatever_was_commanded(rig):
+    bench = Bench(rig)
+    bench.until(State.RUNNING)
+    _, table = bench.safety.outputs
+    bench.target.trip("a limit of its own")
+    bench.run(1)
+    table.state.displacement = -1.2  # integrated over samples that this computer missed
+    bench.until(State.LATCHED)
+    for place in (0.25, -0.25):
+        bench.target.moved = place
+        bench.run(500)
+        with pytest.raises(AbraceError, match=rf"table {place:.3g} m from its middle, limit 0\.24"):
+            bench.clear()
+    bench.target.moved = 0.1  # by hand
+    bench.run(500)
+    bench.clear()
+    bench.until(State.RUNNING)
+    assert table.state.displacement == 0.1
+    assert bench.samples[-1].table == 0.1
+
+
+def test_samples_that_were_missed_count_in_the_velocity_that_the_table_is_measured_to_have(rig):
+    rest = RestCheck(rig, None)
+    status = TargetStatus(1, 1, "", [0.0, 0.0], 0.0)
+    reading = Reading(np.zeros(11), 0, 0, 0, status)
+    assert not rest.problem(reading, commanded=False)
+    places = 0.01 / RATE * np.arange(4, 801, 4) + 0.04 / RATE * np.maximum(np.arange(4, 801, 4) - 400, 0)
+    found = [
+        rest.problem(reading._replace(missed=3, target=status._replace(table=place)), commanded=False)
+        for place in places.tolist()
+    ]
+    assert not any(found[:100]), "0.01 m/s"
+    assert set(found[120:]) == {"table at 0.05 m/s"}
 
 
 def test_a_table_with_a_controller_of_its_own_is_not_driven_and_does_not_count_as_ours(rig):

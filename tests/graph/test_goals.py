@@ -69,6 +69,35 @@ def test_a_signal_is_refused_while_no_rig_has_been_heard_and_the_node_says_so(gr
     assert (refused.success, refused.message) == (False, "not played: no rig is running")
 
 
+def test_a_motion_that_a_dead_rig_left_is_over_in_the_next_run_in_lockstep_whose_first_sample_waits_for_play(graph):
+    graph.start("ground_motion", record="white_noise", duration=60.0, rms=0.25)
+    sent, publisher = graph.listen(AccelStamped, "ground_motion"), graph.publisher(Response, "response", subscribers=0)
+    graph.until_matched("ground_motion", response=1, ground_motion=1)
+
+    def sample(run: int, number: int) -> None:
+        message = Response(run=run, sequence=number, state=Response.RUNNING, flags=Response.LOCKSTEP, braces=[1])
+        message.displacement = message.acceleration = [0.0] * 3
+        message.stroke = message.force = message.command = [0.0]
+        message.header.stamp.sec, message.header.stamp.nanosec = run, 2_000_000 * number
+        publisher.publish(message)
+
+    def answered(run: int, number: int) -> bool:
+        stamp = sent[-1].header.stamp if sent else None
+        return stamp is not None and (stamp.sec, stamp.nanosec) == (run, 2_000_000 * number)
+
+    sample(5, 0)
+    graph.play("ground_motion")
+    graph.until(lambda: answered(5, 0), "the first answer")
+    for number in range(1, 100):
+        sample(5, number)
+        graph.until(lambda number=number: answered(5, number), "an answer")
+    assert sent[-1].accel.linear.x != 0.0, "the table moves, and the rig dies"
+    sample(6, 0)
+    graph.until(lambda: graph.values("ground_motion").get("signal") == "cancelled", "the end of its motion")
+    graph.play("ground_motion")
+    graph.until(lambda: answered(6, 0), "the first answer of the next run")
+
+
 def test_an_answer_to_the_last_run_in_lockstep_does_not_act_in_the_next_one(graph):
     """A ground motion is known by its stamp alone: no two runs of a rig have the same ones."""
     responses = graph.listen(Response, "response")

@@ -291,8 +291,8 @@ class RigLoop:
             return f"{moving}, expected every input at rest first"
         if self._table.lost and (self._target is None or self._target.table is None):
             return f"position of the table unknown, the device or its target stopped while it moved: {TO_THE_MIDDLE}"
-        place, limit = self._table.turning_point, self.interlocks.table.get("table_displacement")
-        if self._table_driven and limit and limit.action == "stop" and abs(place) > limit.value:
+        place, limit = self._table_place, self.interlocks.table.get("table_displacement")
+        if self._table_driven and limit and limit.action == "stop" and not abs(place) <= limit.value:
             return (
                 f"table {place:.3g} m from its middle, limit {limit.value:g} (interlocks.table_displacement): "
                 f"{TO_THE_MIDDLE}"
@@ -336,9 +336,9 @@ class RigLoop:
         if self._asked_since is not None:
             if target.armed == self._arm:
                 self._asked_since = None
-                self._safety.begin(self.moving())
-                if self._table.lost and target.table is not None:
+                if target.table is not None and self._table_driven:
                     self._table.place(target.table)
+                self._safety.begin(self.moving())
             elif self.sequence - self._asked_since > self._longest_arming:
                 self._safety.fault(f"target not armed within {ARMING_TIME:g} s: {target.cause or 'no cause given'}")
         elif self._arm and target.armed != self._arm:

@@ -54,8 +54,9 @@ class RestCheck:
         self.begin()
         self._driven = rig.table_driven
         self._slow = DRIFT * rig.table.peak_velocity
-        self._time = round(TABLE_TIME * rig.sample_rate) / rig.sample_rate
-        self._places: deque[float] = deque(maxlen=round(TABLE_TIME * rig.sample_rate) + 1)
+        self._window = round(TABLE_TIME * rig.sample_rate)
+        self._time = self._window / rig.sample_rate
+        self._places: deque[float] = deque(maxlen=self._window + 1)
 
     def begin(self) -> None:
         """Begin to take the mean forces anew: none is known."""
@@ -95,7 +96,10 @@ class RestCheck:
             ]
         places = self._places
         if self._driven and reading.target.table is not None:
-            places.append(reading.target.table)
+            place = reading.target.table
+            step = (place - (places[-1] if places else place)) / (1 + reading.missed)
+            # of samples that are missing: those on the way
+            places.extend(place - k * step for k in range(min(reading.missed, self._window), -1, -1))
             speed = abs(places[-1] - places[0]) / self._time
             if len(places) == places.maxlen and not speed <= self._slow:
                 found.append(f"table at {speed:.3g} m/s")

@@ -119,6 +119,7 @@ class GroundMotion(Commander):
 
     def begin_goal(self) -> None:
         """Accept a goal, once the table is at rest in a known place."""
+        self._end_motion_before(self.gate.watch.run)
         if self.signal != PLAYING and self.moving():
             raise AbraceError("the table moves")
         super().begin_goal()
@@ -143,6 +144,11 @@ class GroundMotion(Commander):
         """Take the table as at rest."""
         super().let_go()
         if self.playback is not None:
+            self.end_motion(self.playback)
+
+    def _end_motion_before(self, run: int) -> None:
+        """End the motion of a run before this one, if there is one."""
+        if self.playback is not None and run != self.gate.goal_run:
             self.end_motion(self.playback)
 
     def end_motion(self, playback: Playback) -> None:
@@ -170,9 +176,8 @@ class GroundMotion(Commander):
     def answer(self, stamp: int, head: Head, z: tuple[float, ...], lost: int) -> None:
         """Answer a sample."""
         self.safety.act([])
+        self._end_motion_before(head.run)
         playback, goal = self.playback, self.goal
-        if playback is not None and head.run != self.gate.goal_run:
-            self.end_motion(playback)
         acceleration = playback.answer(head.sequence) if playback is not None else 0.0
         self.publish_answer(pack_acceleration(stamp, acceleration))
         if playback is not None and playback.done and self.signal == PLAYING:
