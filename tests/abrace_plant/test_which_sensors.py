@@ -19,8 +19,10 @@ from abrace_core import AbraceError
 from abrace_core.model import signals
 from abrace_core.model.own_law import GuardedLaw
 from abrace_core.safety.wire import Head, Responses
+from abrace_plant.devices.device import Wanted
 from abrace_plant.devices.layout import Packet, read_layout
 from abrace_plant.devices.sensor_check import check_sensors
+from abrace_plant.emulator.target import Target
 from abrace_plant.live.simulated_run import simulated_run
 from abrace_plant.nodes.check_sensors import recorded_readings
 from abrace_plant.rig.detectors import cells_missing, missing_sensors
@@ -157,6 +159,36 @@ def test_a_drift_is_watched_where_both_its_floors_are(tmp_path):
     assert "drift of x3, x4, x5" in missing_sensors(rig)
     assert "implausible_stroke of xf2" in missing_sensors(rig)
     assert "no load cell f1a, f1b, f2: rest cannot be measured there" in missing_sensors(rig)
+
+
+def test_a_stroke_is_compared_with_a_displacement_only_if_that_of_the_floor_below_is_measured_too(tmp_path):
+    assert "implausible_stroke" not in Interlocks(rig_with(tmp_path, "x3", "xf2")).table
+    assert "implausible_stroke" in Interlocks(rig_with(tmp_path, "x2", "x3", "xf2")).table
+
+
+def test_exact_sensors_read_the_outputs_and_the_ground_of_the_channels_that_there_are(tmp_path):
+    outputs, ground = np.arange(28.0).reshape(2, 14), np.array([-1.0, -2.0])
+    rig = rig_with(tmp_path, "x2", "a5", "f1a", "f1b", "f2")
+    # z is x1 to x5, xf1, xf2, a1 to a5, f1, f2
+    np.testing.assert_array_equal(rig.readings_of(outputs, ground), [[1, 11, 12, 12, 13], [15, 25, 26, 26, 27]])
+    with_table = rig_with(tmp_path, "a5", "w")
+    np.testing.assert_array_equal(with_table.readings_of(outputs, ground), [[11, -1], [25, -2]])
+
+
+def test_a_target_without_a_channel_of_the_table_reads_what_there_is(tmp_path):
+    last = []
+    for rig in (rig_with(tmp_path, "a1", "a5"), COMPLETE):
+        target = Target(rig, 0)
+        for number in range(300):
+            wanted = Wanted.FOLLOW if number else Wanted.HOLD_ZERO
+            target.command(
+                number + 1, np.array([0.0, 0.0, 0.005 * number]), target.outputs.last_arm + (not number), wanted
+            )
+            reading = target.step()
+        last.append(reading)
+    few, whole = last
+    assert abs(whole[EVERY.index("w")]) > 1.0
+    np.testing.assert_allclose(few, whole[[EVERY.index("a1"), EVERY.index("a5")]], atol=0.07)
 
 
 def test_a_channel_at_its_end_has_the_bit_of_its_place_in_the_message(three):
