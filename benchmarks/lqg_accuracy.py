@@ -177,7 +177,7 @@ def _controller(found: Results, name: str) -> dict[str, Any]:
         "peak_rms_error_24_states": _worst(test.other_models["superposed"].peak_rms_error for test in tests.values()),
         "gain_margin_db": margins["gain_db"],
         "phase_margin_deg": margins["phase_deg"],
-        "delay_margin_ms": 1e3 * margins["delay"],
+        "delay_margin_ms": 1e3 * margins["delay_s"],
         "local_damping_kept": proof["least_damping_kept"],
         "reduction": _reduction(tests["el_centro"]),
         "reductions": {

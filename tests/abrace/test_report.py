@@ -131,7 +131,7 @@ def test_poles_and_margins_are_shown_as_the_library_wrote_them_and_unknown_ones_
     write_poles({"table": [known], "common": [known, unknown]}, tmp_path / "model/poles.json")
     margins = Margins(9.2, 52.5, float("inf"), 1.74)
     model = ModelProof("reduced", 8, True, [], {"U": margins}, DiskMargin(0.5, 7.0), {}, [])
-    found = pydantic.TypeAdapter(Proof).dump_python(Proof((model,), ("U",), Excitation()))
+    found = pydantic.TypeAdapter(Proof).dump_python(Proof((model,), ("U",), Excitation()), by_alias=True)
     (tmp_path / "check").mkdir(exist_ok=True)
     write_json(tmp_path / "check/check_proof.json", found)
     results = read_results(tmp_path)

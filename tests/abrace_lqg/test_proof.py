@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pydantic
 import pytest
+import yaml
 from scipy import linalg
 
 from abrace_core import AbraceError
@@ -22,9 +25,9 @@ from abrace_lqg.analysis.margins import Margins, margins
 from abrace_lqg.analysis.mode_damping import ModeEffect, mode_effects
 from abrace_lqg.analysis.prediction import Excitation, predicted_rms, rms_without_and_with_control
 from abrace_lqg.design import ControllerDesign, design
-from abrace_lqg.loop import closed_loop, is_stable
+from abrace_lqg.loop import closed_loop, is_stable, sampled
 from abrace_lqg.proof import checks
-from abrace_lqg.proof.checks import Proof, prove, require
+from abrace_lqg.proof.checks import EnsembleProof, Proof, prove, require
 from abrace_lqg.proof.figures import loop_figure
 from abrace_lqg.proof.files import distrusted, load_models, save_proof, table_lines
 from abrace_lqg.proof.limits import OBJECTIONS, WORDING, DesignOptions, Limits
@@ -235,7 +238,7 @@ def test_a_proof_with_numbers_that_are_none_is_read_as_it_was_written(proof: Pro
         margins={"U": Margins(*4 * [np.nan])},
     )
     found = replace(proof, models=(unknown,))
-    content = finite_or_null(pydantic.TypeAdapter(Proof).dump_python(found))
+    content = finite_or_null(pydantic.TypeAdapter(Proof).dump_python(found, by_alias=True))
     again = pydantic.TypeAdapter(Proof).validate_python(content)
     assert list(again.objections()) == list(found.objections()) != []
     assert again.summary() == found.summary()
@@ -300,7 +303,10 @@ def test_models_are_drawn_about_those_whose_files_have_a_covariance(tmp_path: Pa
     assert drawn.margins["U"].gain_db != proof.models[1].margins["U"].gain_db
     assert "the least of 2 models and 5 drawn from them" in controller.margins
     content = json.loads((tmp_path / "one_proof.json").read_text())
-    assert content["models"][1]["ensemble"]["disk_margin"] == drawn.disk_margin
+    assert content["design_model"] == "exact"
+    assert content["models"]["exact"]["ensemble"] is None
+    assert content["models"]["uncertain"]["ensemble"]["disk_margin"] == drawn.disk_margin
+    assert content["models"]["uncertain"]["ensemble"]["at_frequency_rad_s"] == drawn.at
     none = five.model_copy(update={"draws": 0})
     proof, *_ = design_to_file([str(uncertain)], tmp_path / "one.yaml", options=none, **given)
     assert all(each.ensemble is None for each in proof.models)
@@ -391,11 +397,10 @@ def test_the_proof_is_written_into_the_controller_file_and_its_folder(
     text = file.read_text()
     assert all(f"# {line}\n" in text for line in table_lines(found))
     content = json.loads(written[0].read_text())
-    rig, other = content["models"]
+    rig, other = content["models"]["rig"], content["models"]["turned"]
     assert content["accepted"] == [UNSTABLE]
     assert rig["margins"]["U"]["gain_db"] == pytest.approx(margins(rig_model, designed.controller).gain_db)
-    assert float(rig["margins"]["a3"]["delay"]) == found.models[0].margins["a3"].delay
-    assert rig["poles"][0] == dict(zip(("frequency", "damping"), found.models[0].poles[0], strict=True))
+    assert float(rig["margins"]["a3"]["delay_s"]) == found.models[0].margins["a3"].delay
     assert rig["prediction"]["x3"].keys() == {"zero_command", "controlled"}
     assert rig["prediction"]["x3"]["controlled"] == found.models[0].prediction["x3"][1]
     assert rig["disk"]["phase_deg"] == found.models[0].disk.phase_deg
@@ -407,6 +412,214 @@ def test_the_proof_is_written_into_the_controller_file_and_its_folder(
     again = pydantic.TypeAdapter(Proof).validate_python(content)
     assert (again.accepted, again.excitation, again.limits) == (found.accepted, found.excitation, found.limits)
     assert again == found
+
+
+TWO_GROUPS = {
+    "weights": {"displacement": 1e11, "stroke": 0.0, "acceleration": 1e9, "force": 0.0, "command": 1.0},
+    "noise_to_excitation": 0.5,
+}
+LQG3 = yaml.safe_load((SOURCES / "abrace_lqg/config/lqg3.yaml").read_text())
+RIGS = {
+    "five_storey": (TWO_GROUPS | {"measured": ["a1", "a3", "a5"]}, PERIOD),
+    "six_storey": (TWO_GROUPS | {"measured": ["a2", "a4", "a6"]}, PERIOD),
+    "ncree_three_storey": (LQG3, 5 * PERIOD),
+}
+"""Weights and sample period of the controller by rig: several brace groups, few sensors, a slower controller."""
+
+
+class Written(NamedTuple):
+    """What a proof's file has, and what it is about."""
+
+    content: dict[str, Any]
+    proof: Proof
+    models: dict[str, LinearModel]
+    controller: LinearModel
+
+
+@pytest.fixture(scope="module", params=RIGS)
+def written(request, tmp_path_factory) -> Written:
+    weights, period = RIGS[request.param]
+    model = load_rig(SOURCES / f"abrace_plant/config/{request.param}.yaml").model
+    # a device that is a fifth stronger, by a name that is sorted before that of the design's model
+    models = {"the rig": model, "a stronger one": replace(model, b=model.b * [1.0, *[1.2] * (len(model.inputs) - 1)])}
+    two = design(model, Weights.model_validate(weights), period, PERIOD)
+    # noise of all frequencies that samples can have
+    found = prove(two, models, Excitation(0.3, (0.0, 0.5 / period)))
+    (file, _) = save_proof(
+        found,
+        {name: sampled(one, PERIOD) for name, one in models.items()},
+        two.controller,
+        tmp_path_factory.mktemp(request.param) / "one.yaml",
+    )
+    return Written(json.loads(file.read_text()), found, models, two.controller)
+
+
+def own_loop(model: LinearModel, law: LinearModel) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A, B, C, D, written out, of plant, law and command in force, from w to the plant's outputs and the commands."""
+    plant = sampled(model, PERIOD)
+    pushed = [plant.inputs.index(name) for name in law.outputs]
+    seen = [plant.outputs.index(name) for name in law.inputs]
+    (w,) = set(range(len(plant.inputs))) - set(pushed)
+    a, b, c, d = plant.a, plant.b[:, pushed], plant.c, plant.d[:, pushed]
+    whole = [
+        [a, np.zeros((len(a), law.order)), b],
+        [law.b @ c[seen], law.a, law.b @ d[seen]],
+        [law.d @ c[seen], law.c, law.d @ d[seen]],
+    ]
+    out = [[c, np.zeros((len(c), law.order)), d], whole[2]]
+    b_w, d_w = plant.b[:, [w]], plant.d[:, [w]]
+    drive = np.vstack([b_w, law.b @ d_w[seen], law.d @ d_w[seen]])
+    return np.block(whole), drive, np.block(out), np.vstack([d_w, law.d @ d_w[seen]])
+
+
+def rms_of_noise(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, rms: float) -> np.ndarray:
+    """Of the outputs, by the Lyapunov equation, with states in units of their own size."""
+    _, (scale, _) = linalg.matrix_balance(a, permute=False, separate=True)
+    a, b, c = a * scale / scale[:, None], b / scale[:, None], c * scale
+    covariance = linalg.solve_discrete_lyapunov(a, b @ b.T, method="bilinear")
+    return rms * np.sqrt(np.diag(c @ covariance @ c.T) + np.diag(d @ d.T))
+
+
+def test_the_file_has_each_models_margins_under_the_signal_at_which_that_gain_is_the_edge(written: Written):
+    content, _, models, law = written
+    assert content["models"].keys() == models.keys()
+    for name, model in models.items():
+        margins_of = content["models"][name]["margins"]
+        assert set(margins_of) == {*law.inputs, *law.outputs}
+        plant = sampled(model, PERIOD)
+        for signal in margins_of:
+            gain = margins_of[signal]["gain_db"]
+            edge = 1e3 if gain == "inf" else 10 ** (gain / 20)
+            inside, outside = (
+                [is_stable(plant, scaled(law, signal, change)) for change in (edge**power, edge**-power)]
+                for power in (0.999, 1.001)
+            )
+            assert all(inside), (name, signal)
+            assert all(outside) == (gain == "inf"), (name, signal)
+
+
+def scaled(law: LinearModel, signal: str, factor: float) -> LinearModel:
+    """The law with a factor in one of its inputs or outputs."""
+    column = np.where(np.array(law.inputs) == signal, factor, 1.0)
+    row = np.where(np.array(law.outputs) == signal, factor, 1.0)[:, None]
+    return replace(law, b=law.b * column, c=row * law.c, d=row * law.d * column)
+
+
+def test_the_file_has_each_models_rms_under_the_name_of_the_channel_that_moves_so(written: Written):
+    content, _, models, law = written
+    band = content["excitation"]["band"]
+    assert band == {"lowest_hz": 0.0, "highest_hz": 0.5 / law.sample_period}
+    for name, model in models.items():
+        found = content["models"][name]["prediction"]
+        assert list(found) == [*model.outputs, *law.outputs]
+        without = predicted_without(model, band["highest_hz"])
+        for channel, expected in zip(model.outputs, without, strict=True):
+            assert found[channel]["zero_command"] == pytest.approx(expected, rel=0.02), (name, channel)
+        if law.sample_period == PERIOD:
+            controlled = rms_of_noise(*own_loop(model, law), 0.3)
+            for channel, expected in zip((*model.outputs, *law.outputs), controlled, strict=True):
+                assert found[channel]["controlled"] == pytest.approx(expected, rel=5e-3), (name, channel)
+
+
+def predicted_without(model: LinearModel, highest: float) -> np.ndarray:
+    """Rms of the outputs for 0.3 m/s^2 of noise up to `highest` [Hz], from the response of the continuous model."""
+    near = np.outer(np.abs(model.poles), np.linspace(0.9, 1.1, 401)).ravel()
+    omega = np.unique([*np.linspace(1e-3, 2 * np.pi * highest, 40_000), *near])
+    omega = omega[omega <= 2 * np.pi * highest]
+    power = np.abs(model.select(inputs=["w"]).frequency_response(omega)[:, :, 0]) ** 2
+    return 0.3 * np.sqrt(np.trapezoid(power, omega, axis=0) / (2 * np.pi * highest))
+
+
+def test_the_file_has_frequency_and_damping_of_each_models_own_poles_and_of_its_loops(written: Written):
+    content, _, models, law = written
+    for name, model in models.items():
+        one = content["models"][name]
+        assert one["order"] == model.order
+        step, *_ = own_loop(model, law)
+        hold = step.copy()
+        first = sampled(model, PERIOD).order
+        hold[first:] = np.eye(len(step))[first:]  # law and command keep their values between the law's samples
+        whole = np.linalg.matrix_power(hold, round(law.sample_period / PERIOD) - 1) @ step
+        loop = pairs(np.linalg.eigvals(whole).astype(complex), law.sample_period)
+        assert len(one["poles"]) >= len(pairs_of(model))
+        for pole in one["poles"]:
+            assert nearest(loop, pole["frequency_rad_s"], pole["damping_ratio"]) < 1e-3, (name, pole)
+        expected = sorted(pairs_of(model))
+        assert len(one["modes"]) == len(expected)
+        for mode, (frequency, damping) in zip(one["modes"], expected, strict=True):
+            assert mode["frequency_rad_s"] == pytest.approx(frequency, rel=1e-6)
+            assert mode["damping_ratio"] == pytest.approx(damping, rel=1e-4)
+            kept = mode["controlled_damping_ratio"] / mode["damping_ratio"]
+            assert mode["damping_kept"] == pytest.approx(kept, rel=1e-9)
+            if law.sample_period == PERIOD and mode["controlled_frequency_rad_s"]:
+                at = mode["controlled_frequency_rad_s"], mode["controlled_damping_ratio"]
+                assert nearest(loop, *at) < 1e-3, (name, mode)
+
+
+def pairs(poles: np.ndarray, period: float) -> np.ndarray:
+    """(pairs, 2): frequency [rad/s] and damping ratio of discrete poles."""
+    continuous = np.log(poles[np.abs(poles) > 1e-12]) / period
+    return np.array([(abs(one), -one.real / abs(one)) for one in continuous if one.imag > 0])
+
+
+def pairs_of(model: LinearModel) -> list[tuple[float, float]]:
+    return [(abs(one), -one.real / abs(one)) for one in np.linalg.eigvals(model.a) if one.imag > 0]
+
+
+def nearest(of: np.ndarray, frequency: float, damping: float) -> float:
+    """The least distance to one of those pairs, of frequencies relative, of damping ratios absolute."""
+    return float(np.min(np.abs(of[:, 0] / frequency - 1) + np.abs(of[:, 1] - damping)))
+
+
+def test_the_file_says_which_model_was_designed_with_and_the_unit_of_every_signal(written: Written):
+    content, found, models, law = written
+    assert content["design_model"] == "the rig"
+    names = {*models["the rig"].inputs, *models["the rig"].outputs}
+    kinds = {"x": "m", "a": "m/s^2", "w": "m/s^2", "f": "N", "U": "N"}
+    assert content["units"] == {name: kinds[name[0]] for name in names}
+    assert content["commands"] == list(law.outputs)
+    assert content["margins"]["delay_s"] == min(
+        one["margins"][name]["delay_s"] for one in content["models"].values() for name in law.outputs
+    )
+    # the order of names in a JSON object says nothing
+    again = pydantic.TypeAdapter(Proof).validate_python(json.loads(json.dumps(content, sort_keys=True)))
+    assert [one.name for one in again.models] == ["the rig", "a stronger one"]
+    assert again == found
+
+
+def test_every_key_of_the_file_is_documented(proof: Proof):
+    drawn = replace(
+        proof.models[0], ensemble=EnsembleProof(1, 0, {"U": proof.margins}, disk_margin=0.4, damping_kept=0.9, at=7.0)
+    )
+    named = {"models", "margins", "prediction", "units"}  # their keys are names of models and signals
+
+    def keys(content: Any, above: str = "") -> set[str]:
+        if isinstance(content, list):
+            return set().union(*(keys(one) for one in content))
+        if not isinstance(content, dict):
+            return set()
+        own = set() if above in named and "gain_db" not in content else set(content)
+        return own.union(*(keys(value, name) for name, value in content.items()))
+
+    found = keys(pydantic.TypeAdapter(Proof).dump_python(replace(proof, models=(drawn,)), by_alias=True))
+    section = (SOURCES.parent / "docs/method.md").read_text().partition("`NAME_proof.json` has every number")[2]
+    documented = set(re.findall(r"[a-z_]+", " ".join(re.findall(r"`([^`]+)`", section.partition("### ")[0]))))
+    assert {"frequency_rad_s", "at_frequency_rad_s", "highest_hz", "zero_command"} < found
+    assert found - set(Limits.model_fields) - documented == set()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "expected"),
+    [
+        ({"design_model": "other"}, "design_model, one of rig"),
+        ({"models": []}, "an object for each model, by its name"),
+        ({"excitation": {"rms": 0.25, "band": [0.3, 10.0]}}, "an object with lowest_hz, highest_hz"),
+    ],
+)
+def test_a_file_without_names_is_no_proof(proof: Proof, wrong: dict, expected: str):
+    content = pydantic.TypeAdapter(Proof).dump_python(proof, by_alias=True)
+    with pytest.raises(pydantic.ValidationError, match=expected):
+        pydantic.TypeAdapter(Proof).validate_python(content | wrong)
 
 
 def test_models_have_the_names_of_their_files(tmp_path: Path, rig_model: LinearModel):

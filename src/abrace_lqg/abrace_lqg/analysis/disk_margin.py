@@ -18,7 +18,7 @@ sensors the descent is over matrices of four rows.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 import pydantic
@@ -54,7 +54,7 @@ TINY = 1e-9
 
 @dataclass(frozen=True)
 class DiskMargin:
-    """Simultaneous change of gain and phase of all signals that the loop tolerates.
+    """Simultaneous change of gain and phase of all signals that the loop tolerates; in files by pydantic.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class DiskMargin:
     """
 
     alpha: Number
-    frequency: float
+    frequency: Annotated[float, pydantic.Field(alias="frequency_rad_s")]
 
     @pydantic.computed_field  # type: ignore[prop-decorator]
     @property

@@ -11,9 +11,10 @@ signal at a time; here one response serves all signals, and crossings are its ro
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+import pydantic
 
 from abrace_core import AbraceError
 from abrace_core.files.config_file import Number  # noqa: TC001  pydantic reads it
@@ -44,7 +45,7 @@ LARGEST_GAIN, GAIN_STEP, GAIN_TOLERANCE = 20.0, 1.0, 1e-3
 
 @dataclass(frozen=True)
 class Margins:
-    """Stability margins of a loop broken at one signal.
+    """Stability margins of a loop broken at one signal; in files by pydantic, with `delay_s`.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ class Margins:
 
     gain_db: Number
     phase_deg: Number
-    delay: Number
+    delay: Annotated[Number, pydantic.Field(alias="delay_s")]
     sensitivity_peak: Number
 
     def __str__(self) -> str:

@@ -8,7 +8,7 @@ commands grows from zero to one. So each closed-loop pole is assigned to the mod
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import pydantic
@@ -39,7 +39,7 @@ SAME_POLE = 1e-5
 
 @dataclass(frozen=True)
 class ModeEffect:
-    """One pole pair of the plant, without and with control.
+    """One pole pair of the plant, without and with control; in files by pydantic.
 
     Parameters
     ----------
@@ -51,10 +51,10 @@ class ModeEffect:
         Whether the design model has a pole pair of this frequency.
     """
 
-    frequency: float
-    damping: float
-    controlled_frequency: float
-    controlled_damping: Number
+    frequency: Annotated[float, pydantic.Field(alias="frequency_rad_s")]
+    damping: Annotated[float, pydantic.Field(alias="damping_ratio")]
+    controlled_frequency: Annotated[float, pydantic.Field(alias="controlled_frequency_rad_s")]
+    controlled_damping: Annotated[Number, pydantic.Field(alias="controlled_damping_ratio")]
     modelled: bool
 
     @pydantic.computed_field  # type: ignore[prop-decorator]

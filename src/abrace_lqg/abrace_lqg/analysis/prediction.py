@@ -9,7 +9,7 @@ answers every n-th sample it is the mean over the n samples. The prediction is l
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from abrace_core import AbraceError
 from abrace_core.model import signals
 from abrace_core.model.linear_model import takes_models
 from abrace_core.model.si_units import in_si_units
+from abrace_lqg.analysis.named_values import Named
 from abrace_lqg.loop import LOWEST_FREQUENCY, at_rate, closed_loop, eigenvalues, frequency_grid
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ class Excitation:
     """
 
     rms: float = 0.25
-    band: tuple[float, float] = (0.3, 10.0)
+    band: Annotated[tuple[float, float], Named("lowest_hz", "highest_hz")] = (0.3, 10.0)
     input: str = signals.GROUND
     unit: str = signals.unit(signals.GROUND)
 

@@ -18,10 +18,12 @@ from abrace_core import AbraceError
 from abrace_core.files.config_file import Number  # noqa: TC001  pydantic reads it
 from abrace_core.files.suggestion import expected_of
 from abrace_core.model.linear_model import takes_models
+from abrace_core.model.signals import unit as signal_unit
 from abrace_core.model.verdict import judged, nan_first
 from abrace_lqg.analysis.disk_margin import DiskMargin, disk_margin
 from abrace_lqg.analysis.margins import Margins, margins_at
 from abrace_lqg.analysis.mode_damping import ModeEffect, mode_effects
+from abrace_lqg.analysis.named_values import Named
 from abrace_lqg.analysis.prediction import Excitation, rms_without_and_with_control
 from abrace_lqg.loop import closed_loop_poles, is_stable, sampled
 from abrace_lqg.proof.limits import OBJECTIONS, WORDING, Limits, Objection, excitation_of, shortfall
@@ -32,16 +34,8 @@ if TYPE_CHECKING:
     from abrace_core.model.linear_model import LinearModel
     from abrace_lqg.design import ControllerDesign
 
-_Values = pydantic.BeforeValidator(lambda given: tuple(given.values()) if isinstance(given, dict) else given)
-
-
-def _named(*names: str) -> Any:
-    """In files the values of a tuple stand by these `names`."""
-    return pydantic.PlainSerializer(lambda values: dict(zip(names, values, strict=True)))
-
-
-Pole = Annotated[tuple[float, float], _Values, _named("frequency", "damping")]
-Rms = Annotated[tuple[float, float], _Values, _named("zero_command", "controlled")]
+Pole = Annotated[tuple[float, float], Named("frequency_rad_s", "damping_ratio")]
+Rms = Annotated[tuple[float, float], Named("zero_command", "controlled")]
 
 
 @dataclass(frozen=True)
@@ -65,7 +59,7 @@ class EnsembleProof:
     margins: dict[str, Margins]
     disk_margin: Number
     damping_kept: Number
-    at: float
+    at: Annotated[float, pydantic.Field(alias="at_frequency_rad_s")]
 
     def __str__(self) -> str:
         return f"{self.count} models drawn from it"
@@ -106,6 +100,20 @@ class ModelProof:
     ensemble: EnsembleProof | None = None
 
 
+def _models_of(given: Any) -> list[dict[str, Any]]:
+    if not isinstance(given, dict) or not all(isinstance(one, dict) for one in given.values()):
+        raise ValueError("an object for each model, by its name")
+    return [{"name": name, **one} for name, one in given.items()]
+
+
+def _by_name(models: Any, write: pydantic.SerializerFunctionWrapHandler) -> dict[str, dict[str, Any]]:
+    return {one.pop("name"): one for one in write(models)}
+
+
+ModelProofs = Annotated[tuple[ModelProof, ...], pydantic.BeforeValidator(_models_of), pydantic.WrapSerializer(_by_name)]
+"""In files by the names of the models."""
+
+
 @dataclass(frozen=True)
 class Proof:
     """Predictions for a controller with all models: what is written to NAME_proof.json, and read from it by pydantic.
@@ -125,16 +133,32 @@ class Proof:
     distrusted
         For each model that its identification says not to trust, in which file and why.
     units
-        SI units of signals that are no rig's, by name, as far as they are known.
+        SI units of all signals by name, as far as they are known.
     """
 
-    models: tuple[ModelProof, ...]
+    models: ModelProofs
     commands: tuple[str, ...]
     excitation: Excitation
     limits: Limits = field(default_factory=Limits)
     accepted: tuple[Objection, ...] = ()
     distrusted: tuple[str, ...] = ()
     units: dict[str, str] = field(default_factory=dict)
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _design_model_first(cls, given: Any) -> Any:
+        """The content of a file, in which the order of the models says nothing, with the design model first."""
+        if not isinstance(given, dict) or not isinstance(models := given.get("models"), dict):
+            return given
+        if (first := given.get("design_model")) not in models:
+            raise ValueError(f"design_model, one of {', '.join(models)}")
+        return {**given, "models": {first: models[first], **models}}
+
+    @pydantic.computed_field  # type: ignore[prop-decorator]
+    @property
+    def design_model(self) -> str:
+        """Name of the model that the controller was designed with."""
+        return self.models[0].name
 
     @property
     def margins(self) -> Margins:
@@ -272,7 +296,9 @@ def prove(
             raise AbraceError(f"proof with model {name}: {error}") from error
     if not proofs[0].stable:
         raise AbraceError(f"proof: the closed loop with {proofs[0].name}, the design's own model, is not stable")
-    units = {**design_model.units, **designed.controller.units}
+    names = dict.fromkeys(name for model in models.values() for name in (*model.inputs, *model.outputs))
+    own = {**design_model.units, **designed.controller.units}
+    units = {name: unit for name in names if (unit := own.get(name) or signal_unit(name)) != "-"}
     return Proof(tuple(proofs), designed.controller.outputs, excitation, limits or Limits(), units=units)
 
 

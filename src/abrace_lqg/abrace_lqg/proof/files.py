@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +15,7 @@ from abrace_core.figures.saving import save_figure
 from abrace_core.files.writing import write_json
 from abrace_core.model.linear_model import load_model, takes_models
 from abrace_core.model.signals import unit
+from abrace_lqg.analysis.margins import Margins
 from abrace_lqg.proof.checks import Proof
 from abrace_lqg.proof.figures import loop_figure
 
@@ -23,12 +23,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from abrace_core.model.linear_model import LinearModel
-    from abrace_lqg.analysis.margins import Margins
     from abrace_lqg.analysis.mode_damping import ModeEffect
     from abrace_lqg.proof.checks import EnsembleProof, ModelProof
 
 
-FILE_FORMAT = "abrace proof 3"
+FILE_FORMAT = "abrace proof 4"
 
 DISTRUST = "don't trust"
 """Verdict of a `validity.json` on models that no controller is to be designed with."""
@@ -112,10 +111,13 @@ def save_proof(
     numbers = controller_file.with_name(f"{controller_file.stem}_proof.json")
     found = {
         "summary": proof.summary(),
-        "margins": asdict(proof.margins),
+        "design_model": proof.design_model,
+        "margins": pydantic.TypeAdapter(Margins).dump_python(proof.margins, by_alias=True),
         "least_damping_kept": proof.least_damping_kept,
     }
-    write_json(numbers, {"format": FILE_FORMAT, **found, **pydantic.TypeAdapter(Proof).dump_python(proof)})
+    write_json(
+        numbers, {"format": FILE_FORMAT, **found, **pydantic.TypeAdapter(Proof).dump_python(proof, by_alias=True)}
+    )
     picture = controller_file.with_name(f"{controller_file.stem}_loop.svg")
     save_figure(loop_figure(proof, models, controller, ensembles), picture)
     return [numbers, picture]
