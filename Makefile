@@ -84,7 +84,9 @@ test-pip:  ## `pip install .` with PYTHON in an empty environment, and the first
 	@rm -rf .pip
 	$${PYTHON:-python3} -m venv .pip
 	.pip/bin/pip install --quiet . $(WITH)
-	rm -rf build abrace.egg-info  # it would be taken for the package abrace of the workspace
+	# a build or an abrace.egg-info in the checkout would be taken for the package abrace of the workspace
+	left=$$(find . src src/* -maxdepth 1 \( -name build -o -name '*.egg-info' -o -name '*.dist-info' \))
+	[ -z "$$left" ] || { echo "abrace: pip install . left in the checkout: $$left" >&2; exit 1; }
 	cd .pip
 	env -u PYTHONPATH bin/abrace --version
 	env -u PYTHONPATH bin/python -c "import abrace; run = abrace.simulate('ncree_three_storey', 'el_centro', \
