@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 PATIENCE = 60.0
 LARGEST = 2**26
-KEYS = {"Escape": (27, ""), " ": (32, " "), "Enter": (13, "\r")}
-"""Code and text of the keys that can be pressed."""
+KEYS = {"Escape": (27, ""), " ": (32, " "), "Enter": (13, "\r"), "Tab": (9, "")}
+"""Code and text of keys that are no letter or digit."""
 
 
 class DrivenBrowser:
@@ -200,11 +200,13 @@ class Tab:
         act = self._browser.command if wait else self._browser.send
         act("Input.dispatchMouseEvent", self._session, **parameters)
 
-    def press(self, key: str) -> None:
-        """Press a key of KEYS."""
-        code, text = KEYS[key]
-        self.command("Input.dispatchKeyEvent", type="keyDown", key=key, windowsVirtualKeyCode=code, text=text)
-        self.command("Input.dispatchKeyEvent", type="keyUp", key=key, windowsVirtualKeyCode=code)
+    def press(self, key: str, repeats: int = 0) -> None:
+        """Press a letter, a digit, or a key of KEYS; held down it `repeats`."""
+        code, text = KEYS[key] if key in KEYS else (ord(key.upper()), key)
+        event = {"key": key, "windowsVirtualKeyCode": code}
+        for repeat in range(1 + repeats):
+            self.command("Input.dispatchKeyEvent", type="keyDown", text=text, autoRepeat=repeat > 0, **event)
+        self.command("Input.dispatchKeyEvent", type="keyUp", **event)
 
     def screenshot(self, path: Path) -> None:
         """A screenshot, as PNG."""

@@ -34,7 +34,7 @@ const building = {
 
   now() {
     const [one, next = one] = this.queue;
-    const between = (name) => one[name].map((value, index) => (value === null ? null : value + this.place * (next[name][index] - value)));
+    const between = (name) => one[name].map((value, index) => (value === null ? null : value + this.place * ((next[name][index] ?? value) - value)));
     return { sway: between("sway"), share: between("share") };
   },
 };

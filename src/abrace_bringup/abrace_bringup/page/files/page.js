@@ -107,10 +107,10 @@ function watch(why = "") {
   if (lost) {
     const pressed = wanted ? "STOP was pressed: it is sent as soon as the connection is back. " : "";
     const useless = operates ? "STOP on this page does not reach the rig now: use the hardware's button. " : "";
-    alarm.textContent = `NO CONNECTION. ${pressed}${useless}What is shown is old. ${why}`;
+    write(alarm, `NO CONNECTION. ${pressed}${useless}What is shown is old. ${why}`);
     alarm.dataset.kind = "lost";
     alarm.hidden = refused || rig === null && performance.now() < SILENT;
-    setState("no connection", "lost", "");
+    setState("no connection", "lost", "", "");
     find("stop-note").textContent = "NO CONNECTION";
   } else if (alarm.dataset.kind === "lost") {
     alarm.hidden = true;
@@ -140,6 +140,10 @@ window.addEventListener("keydown", (event) => {
     stop();
   }
 }, true);
+// a key that is held down presses a button once: again is a decision
+window.addEventListener("keydown", (event) => {
+  if (event.key === "Enter" && event.repeat && event.target instanceof HTMLButtonElement) event.preventDefault();
+}, true);
 // the space bar presses the button in focus when it comes up
 window.addEventListener("keyup", (event) => {
   if (event.key === " " && operates && event.target !== find("token")) event.preventDefault();
@@ -151,6 +155,7 @@ function press(button) {
     button.classList.add("sure");
     button.dataset.words = button.textContent;
     button.textContent = "Press again: " + button.dataset.words;
+    named(button);
     setTimeout(() => unsure(button), SURE);
     return;
   }
@@ -163,6 +168,12 @@ function unsure(button) {
   if (!button.classList.contains("sure")) return;
   button.classList.remove("sure");
   button.textContent = button.dataset.words;
+  named(button);
+}
+
+// of the buttons in rows one hears whose they are
+function named(button) {
+  if (button.dataset.node) button.setAttribute("aria-label", `${button.textContent} ${button.dataset.node}`);
 }
 
 document.addEventListener("click", (event) => {
@@ -172,25 +183,38 @@ document.addEventListener("click", (event) => {
 
 // ---------------------------------------------------------------- what is shown
 
-function setState(words, level, cause) {
-  const text = rig === null || level === "lost" ? words : `${rig.name}: ${words}`;
-  if (find("state").textContent !== text) find("state").textContent = text;
-  if (find("cause").textContent !== cause) find("cause").textContent = cause;
+// what has not changed is not written: a screen reader would say it again
+function write(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+function setState(words, level, why, now) {
+  const name = rig === null || level === "lost" ? "" : `${rig.name}: `;
+  if (find("state").textContent !== name + words) {
+    const first = document.createElement("span");
+    first.id = "rig-name";
+    first.textContent = name;
+    find("state").replaceChildren(first, words);
+  }
+  write(find("why"), why);
+  write(find("now"), why && now ? `; ${now}` : now);
   find("rig").className = level;
 }
 
 function show(frame) {
   const { sample } = frame;
   const age = sample.age ? `no samples of the rig for ${sample.age} s` : "";
-  const cause = [sample.wrong, sample.cause, age, ...sample.limited, frame.stop && `STOP on the page: ${frame.stop}`];
-  setState(sample.state, sample.wrong ? "fault" : sample.level, cause.filter(Boolean).join("; "));
+  const joined = (...parts) => parts.filter(Boolean).join("; ");
+  const why = joined(sample.wrong, sample.cause, frame.stop && `STOP on the page: ${frame.stop}`);
+  setState(sample.state, sample.wrong ? "fault" : sample.level, why, joined(age, ...sample.limited));
   if (frame.stop) wanted = false;
   find("stop").classList.toggle("pressed", Boolean(frame.stop) || wanted);
   find("stop-note").textContent = frame.stop ? "PRESSED" : wanted ? "sent" : "Esc or space";
+  if (!frame.stop && document.activeElement === find("release")) find("controls").focus();
   find("release").hidden = !frame.stop;
   trace(frame.traces);
   rows("recording", frame.recording.map((one) => ({ bad: one.bad, cells: [one.node, one.state, one.messages, one.lost, one.file, one.waits] })));
-  rows("latency", frame.latency.map((one) => ({ cells: [one.node, one.what, ...one.times, one.late] })));
+  rows("latency", frame.latency.map((one) => ({ key: `${one.node} ${one.what}`, cells: [one.node, one.what, ...one.times, one.late] })));
   rows("nodes", frame.nodes.map((one) => ({ bad: one.level !== "ok", cells: [one.name, one.state, one.rate === null ? "-" : Math.round(one.rate), one.lost ?? "-"], node: one.name, actions: operates ? one.actions : [] })));
   bars("interlocks", frame.interlocks.map((one) => ({ name: one.name, share: one.share / 100, words: `${one.share} %` })));
   frame.events.forEach(happened);
@@ -199,40 +223,46 @@ function show(frame) {
 
 const WORDS = { arm: "Arm", disarm: "Disarm", clear: "Clear", play: "Play" };
 
-// the page's elements are changed only where their content has: a button that is being pressed stays
+// the page's elements are changed only where their content has: a button that is pressed or in focus stays, with its row
 function rows(id, wantedRows) {
-  const body = find(id).tBodies[0];
-  while (body.rows.length > wantedRows.length) body.deleteRow(-1);
+  const body = find(id).tBodies[0], labels = [...find(id).tHead.rows[0].cells].map((one) => one.textContent);
+  const keyOf = (row) => row.key ?? row.cells[0];
+  const keys = new Set(wantedRows.map(keyOf));
+  [...body.rows].filter((one) => !keys.has(one.dataset.key)).forEach((one) => one.remove());
   wantedRows.forEach((row, index) => {
-    const text = JSON.stringify(row);
     let element = body.rows[index];
-    if (element && element.dataset.content === text) return;
-    if (element && element.querySelector("button.sure")) return;
-    if (!element) element = body.insertRow();
-    element.dataset.content = text;
+    if (!element || element.dataset.key !== keyOf(row)) {
+      element = body.insertRow(index);
+      element.dataset.key = keyOf(row);
+      element.tabIndex = -1;
+    }
     element.className = row.bad ? "bad" : "";
-    element.replaceChildren(...row.cells.map((cell) => cellOf(cell)), ...(row.actions ? [buttonsOf(row)] : []));
+    row.cells.forEach((content, column) => {
+      const cell = element.cells[column] ?? element.insertCell();
+      if (column) cell.dataset.label = labels[column];
+      write(cell, String(content));
+    });
+    if (row.actions) buttons(element, element.cells[row.cells.length] ?? element.insertCell(), row);
   });
 }
 
-function cellOf(content) {
-  const cell = document.createElement("td");
-  cell.textContent = content;
-  return cell;
-}
-
-function buttonsOf(row) {
-  const cell = document.createElement("td");
-  for (const action of row.actions) {
+function buttons(element, cell, { actions, node }) {
+  for (const button of [...cell.children]) {
+    if (actions.includes(button.dataset.do)) continue;
+    if (button === document.activeElement) element.focus(); // on no other button: what it does is another thing
+    button.remove();
+  }
+  actions.forEach((action, index) => {
+    if (cell.children[index]?.dataset.do === action) return;
     const button = document.createElement("button");
     button.type = "button";
     button.textContent = WORDS[action];
     button.dataset.do = action;
-    button.dataset.node = row.node;
+    button.dataset.node = node;
     button.dataset.sure = action === "disarm" ? "" : "1";
-    cell.append(button, " ");
-  }
-  return cell;
+    named(button);
+    cell.insertBefore(button, cell.children[index] ?? null);
+  });
 }
 
 function bars(id, wantedBars) {
@@ -248,8 +278,8 @@ function bars(id, wantedBars) {
     const [name, progress, words] = element.children;
     const level = bar.share >= 1 ? "over" : bar.share >= 0.9 ? "near" : "";
     const note = level === "over" ? " AT THE LIMIT" : level === "near" ? " near" : "";
-    if (name.textContent !== bar.name) name.textContent = bar.name;
-    if (words.textContent !== bar.words + note) words.textContent = bar.words + note;
+    write(name, bar.name);
+    write(words, bar.words + note);
     progress.value = Math.min(bar.share, 1);
     progress.setAttribute("aria-label", bar.name);
     element.className = `bar ${level}`;
@@ -263,6 +293,7 @@ function happened(event) {
   item.textContent = `${new Date(1000 * event.time).toLocaleTimeString()}  ${event.text}`;
   if (event.bad) item.className = "bad";
   find("events").prepend(item);
+  find("events").tabIndex = 0; // keys scroll it
   while (find("events").children.length > MOST_EVENTS) find("events").lastChild.remove();
 }
 
@@ -271,7 +302,10 @@ function happened(event) {
 function drawAll() {
   for (const [id, pattern] of [["displacement-trace", /^x/], ["acceleration-trace", /^[aw]/], ["force-trace", /^[fU]/]]) {
     if (charts[id]) charts[id].plot.destroy();
+    delete charts[id];
     const columns = rig.channels.flatMap((name, column) => (pattern.test(name) ? [column] : []));
+    find(id).closest("section").hidden = !columns.length;
+    if (!columns.length) continue;
     const series = columns.map((column, index) => ({ label: rig.channels[column], stroke: COLOURS[index % COLOURS.length], width: 1, points: { show: false } }));
     const size = { width: Math.max(280, find(id).clientWidth), height: 200 };
     const plot = new uPlot({
@@ -283,11 +317,41 @@ function drawAll() {
   building.clear();
   find("forces").replaceChildren();
   find("floors").tBodies[0].replaceChildren();
+  drawFloors();
 }
 
-window.addEventListener("resize", () => {
+const FLOOR_COLUMNS = [
+  { letter: "x", id: "displacement-trace", words: "displacement mm", digits: 2 },
+  { letter: "a", id: "acceleration-trace", words: "acceleration m/s²", digits: 3 },
+];
+
+// number of floors on which it is measured
+function measured(letter) {
+  return rig.heights.filter((_, index) => rig.channels.includes(`${letter}${index + 1}`)).length;
+}
+
+// what is not measured has no column, and the building says what it cannot show
+function drawFloors() {
+  const heads = ["floor", ...FLOOR_COLUMNS.filter(({ letter }) => measured(letter)).flatMap(({ words }) => [words, "peak of 30 s"])];
+  find("floors").tHead.rows[0].replaceChildren(...heads.map((words) => {
+    const head = document.createElement("th");
+    head.textContent = words;
+    return head;
+  }));
+  find("floors").closest("section").hidden = heads.length === 1;
+  const moving = measured("x");
+  find("enlarged").hidden = !moving;
+  find("building").setAttribute("aria-label", `the building${moving ? ", its displacements enlarged" : " at rest"}, and its braces, coloured by their force over the capacity`);
+  find("not-measured").hidden = moving === rig.heights.length;
+  find("not-measured").textContent = moving
+    ? "Floors in light grey have no displacement sensor: they are drawn between their neighbours."
+    : "No displacement is measured: the building is drawn at rest.";
+}
+
+const widths = new ResizeObserver(() => {
   for (const [id, { plot }] of Object.entries(charts)) plot.setSize({ width: Math.max(280, find(id).clientWidth), height: 200 });
 });
+document.querySelectorAll(".trace").forEach((each) => widths.observe(each));
 
 function animate(now) {
   building.advance(now);
@@ -325,9 +389,10 @@ function trace(given) {
 // a bin for the building: floors in the middle of their range, braces at their greatest force
 function move(low, high) {
   const of = (name) => rig.channels.indexOf(name);
-  const middle = (column) => (column < 0 ? null : ((low[column] ?? 0) + (high[column] ?? 0)) / 2000);
-  const most = (column) => (column < 0 ? null : Math.max(Math.abs(low[column] ?? 0), Math.abs(high[column] ?? 0)));
-  building.add(rig.heights.map((_, floor) => middle(of(`x${floor + 1}`))), rig.groups.map(({ name, capacity }) => (of(name) < 0 ? null : most(of(name)) / capacity)));
+  const known = (column) => Number.isFinite(low[column]) && Number.isFinite(high[column]);
+  const middle = (column) => (known(column) ? (low[column] + high[column]) / 2000 : null);
+  const most = (column) => Math.max(Math.abs(low[column]), Math.abs(high[column]));
+  building.add(rig.heights.map((_, floor) => middle(of(`x${floor + 1}`))), rig.groups.map(({ name, capacity }) => (known(of(name)) ? most(of(name)) / capacity : null)));
 }
 
 function greatest(values) {
@@ -340,23 +405,31 @@ function rescale(chart) {
   chart.plot.setScale("y", { min: -reach, max: reach });
 }
 
-// of the last bin the value that is further from zero
+// of the last bin the value that is further from zero; null: none was measured
 function present(values) {
-  const [low, high] = values.slice(-2).map((value) => value ?? 0);
-  return Math.abs(low ?? 0) > Math.abs(high ?? 0) ? low : high ?? 0;
+  return values.slice(-2).reduce((most, value) => (value !== null && Math.abs(value) >= Math.abs(most ?? 0) ? value : most), null);
 }
 
 function numbers() {
   const of = (id, name) => charts[id].data[1 + charts[id].columns.indexOf(rig.channels.indexOf(name))];
-  const both = (id, name, digits) => (rig.channels.includes(name) ? [present, greatest].map((each) => each(of(id, name)).toFixed(digits)) : ["", ""]);
+  const there = (name) => rig.channels.includes(name);
+  const shown = FLOOR_COLUMNS.filter(({ letter }) => measured(letter));
+  const both = ({ letter, id, digits }, floor) => {
+    if (!there(letter + floor)) return ["", ""];
+    return [present, greatest].map((each) => each(of(id, letter + floor))?.toFixed(digits) ?? "-");
+  };
   rows("floors", rig.heights.map((_, index) => ({
-    cells: [`floor ${index + 1}`, ...both("displacement-trace", `x${index + 1}`, 2), ...both("acceleration-trace", `a${index + 1}`, 3)],
-  })).reverse());
-  bars("forces", rig.groups.filter(({ name }) => rig.channels.includes(name)).map(({ name, floor, capacity }) => {
+    cells: [`floor ${index + 1}`, ...shown.flatMap((column) => both(column, index + 1))],
+  })).filter(({ cells }) => cells.slice(1).some(Boolean)).reverse());
+  bars("forces", rig.groups.filter(({ name }) => there(name)).map(({ name, floor, capacity }) => {
     const force = present(of("force-trace", name));
-    return { name: `${name}, floor ${floor}`, share: Math.abs(force) / capacity, words: `${force.toFixed(2)} of ${capacity.toFixed(1)} kN` };
+    return { name: `${name}, floor ${floor}`, share: Math.abs(force ?? 0) / capacity, words: `${force?.toFixed(2) ?? "-"} of ${capacity.toFixed(1)} kN` };
   }));
 }
 
+new ResizeObserver(() => {
+  // what the keys bring into focus is not hidden by the header
+  document.documentElement.style.scrollPaddingTop = `${document.querySelector("header").offsetHeight + 12}px`;
+}).observe(document.querySelector("header"));
 requestAnimationFrame(animate);
 connect();
