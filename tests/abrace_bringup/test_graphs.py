@@ -148,6 +148,7 @@ def test_a_test_with_a_signal_that_is_stopped_early_is_no_success(tmp_path, cont
     with_signal = nodes(IDENTIFICATION, tmp_path, drive="table")["supervisor"]
     without = nodes(CLOSED_LOOP, tmp_path, controller=controller, record="")["supervisor"]
     assert (has_end(with_signal), has_end(without)) == (True, False)
-    assert end_of_node("supervisor", 0, shutting_down=True, ends_the_test=True) == (
-        "the test was stopped before it was done"
-    )
+    for returncode, shutting_down in ((0, True), (130, True), (130, False)):
+        assert end_of_node("supervisor", returncode, shutting_down, ends_the_test=True) == (
+            "the test was stopped before it was done"
+        )

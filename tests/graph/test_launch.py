@@ -115,7 +115,7 @@ def included(name, duration):
 
 def generate_launch_description():
     tell = OpaqueFunction(function=told)
-    hear = EventHandler(matcher=lambda event: isinstance(event, StateTransition), entities=tell)
+    hear = EventHandler(matcher=lambda event: isinstance(event, StateTransition), entities=[tell])
     return LaunchDescription([RegisterEventHandler(hear), included("a", "4.0"), included("b", "16.0")])
 """
 

@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import os
+import time
+
 import numpy as np
-from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.msg import Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Log, Parameter
 from rcl_interfaces.srv import SetParameters
@@ -48,6 +51,18 @@ def test_the_plant_does_nothing_until_it_is_configured_and_activated(graph):
     seen = len(responses)
     graph.until_well("plant")
     assert len(responses) == seen, "no sample after deactivation"
+
+
+def test_a_launched_rig_changes_no_state_before_its_transitions_are_received(graph, monkeypatch):
+    monkeypatch.setenv("ABRACE_END_WITH", str(os.getpid()))
+    graph.start("plant")
+    graph.until(lambda: graph.node.count_publishers("plant/transition_event"), "the rig's process")
+    seen = time.monotonic()
+    graph.until(lambda: time.monotonic() > seen + 1.0, "time in which a rig becomes active")
+    assert graph.node.count_publishers("response") == 0
+    events = graph.listen(TransitionEvent, "plant/transition_event")
+    graph.until(lambda: events and events[-1].goal_state.label == "active", "the transition to active")
+    assert [event.goal_state.label for event in events] == ["configuring", "inactive", "activating", "active"]
 
 
 def test_a_rig_is_cleaned_up_while_commanders_come_and_go(graph):

@@ -318,6 +318,8 @@ def end_of_node(executable: str, returncode: int, shutting_down: bool, ends_the_
     str or None
         What went wrong; empty: the test is over; None: nothing.
     """
+    if ends_the_test and returncode == 130:
+        return STOPPED
     if shutting_down and returncode in (0, -2):
         return STOPPED if ends_the_test else None
     if returncode == 0 and executable in (SUPERVISOR, "plant"):

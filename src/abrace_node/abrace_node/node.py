@@ -169,6 +169,8 @@ class AbraceNode(Node):
     """Whether its messages must never be delayed: then it has two threads, and streams.xml is its DDS profile."""
     exit_code: int | None = None
     """Exit code of the process, once the node has finished."""
+    stopped_exit_code = 0
+    """Exit code of an offline node whose `work` a signal has interrupted."""
     error: BaseException | None = None
     """The first exception of a callback, a task or a thread: see `fail`."""
     reported_fault: str | None = None
@@ -409,6 +411,9 @@ class AbraceNode(Node):
 
     def protect(self, cause: str) -> None:
         """Override to bring what the node drives to rest because of this `cause`; called with the lock."""
+
+    def await_observer(self, stopped: Callable[[], bool]) -> None:
+        """Override to wait until `ros2 launch` receives the node's states, or `stopped`; called before it spins."""
 
     def autostart(self) -> None:
         """Override to start without a command; called once, unless a signal came before."""

@@ -2,7 +2,7 @@
 """A node as a process: arguments, signals, spinning, the exit code.
 
 Exit codes: 0 done or stopped by a person, 1 failed while running, 2 wrong parameters or files (one line says what is
-wrong, where, and what was expected).
+wrong, where, and what was expected), 130 a test stopped before its end.
 """
 
 from __future__ import annotations
@@ -165,6 +165,8 @@ def _spin_until(node: AbraceNode, executor: GuardedExecutor, over: Callable[[], 
 def _spin(node: AbraceNode, signals: _Signals) -> int:
     """Spin until the node finishes, or has come to rest after a signal or an exception; returns the exit code."""
     signals.wake = node.wake
+    if END_WITH in os.environ:
+        node.await_observer(lambda: signals.stopped)
     with node.spinning() as executor:
         # now, because the pauses of a collection would delay samples
         real_time.collect_unfrozen_garbage()
@@ -285,7 +287,7 @@ def run(create: Callable[[], AbraceNode], arguments: Sequence[str] | None = None
         _report(program, error)
         exit_code = 2 if isinstance(error, AbraceError) and not isinstance(error, RunFailed) else 1
     except _Stop:
-        exit_code = 0
+        exit_code = 0 if node is None or node.error is not None else node.stopped_exit_code
     finally:
         _ignore_signals()
         if signals.stopped and node is not None and node.error is None and hasattr(node, "work"):

@@ -46,7 +46,7 @@ is then removed at once, the newest first, and each is looked for from the oldes
 cost is quadratic, and `publish` waits for it: 0.45 ms with the 500 messages of 1 s at 500 Hz, 0.9 ms with those of
 1.5 s, 1.4 to 1.6 ms with those of 2 s, 3 to 10 ms with those of 3 s, 38 ms with those of 10 s. It comes at the same
 moment in the rig and in those who command it: with 3 s on two processors the rig got no command for 3 to 7 samples, of
-which commanders bridge 5; with 2 s for 0 to 3 in 108 kills. The rest of what is done for a killed node, 0.2 to 0.7 ms
+which commanders bridge 5; with 2 s for 0 to 4 in 188 kills. The rest of what is done for a killed node, 0.2 to 0.7 ms
 in each process, holds up no publisher. The number is limited, too, for rigs at more than 500 Hz.
 
 A subscriber that stands still for less than 2 s misses nothing. That is what a logger may need on a busy computer: it

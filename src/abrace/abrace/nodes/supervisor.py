@@ -62,6 +62,11 @@ class Supervisor(AbraceNode):
         self.held = ["plant"] if given.plant else list(self.inputs.values())
         self.problems: list[str] = []
 
+    @property
+    def stopped_exit_code(self) -> int:  # type: ignore[override]
+        """That of Ctrl-C, if the test has an end that was not reached."""
+        return 130 if self.parameters.signals else 0
+
     def work(self) -> None:
         """Begin, watch and end the test."""
         own = "supervisor_monitor", self.enclave
