@@ -17,14 +17,17 @@ from page_runner import SKIP, copied, follow, is_followed
 def verify_docs() -> tuple[dict[str, Any], list[Claim]]:
     """Values for verify.json, and claims."""
     begin = time.monotonic()
-    executed, skipped = 0, dict[str, str]()
+    executed, compared, skipped = 0, 0, dict[str, str]()
     wrong: list[str] = []
     with tempfile.TemporaryDirectory() as name:
         demo = Path(name) / "demo"
         demo.mkdir()
-        subprocess.run(["abrace", "demo"], cwd=demo, check=True, capture_output=True)
+        ended = subprocess.run(["abrace", "demo"], cwd=demo, check=True, capture_output=True, text=True)
         for page in filter(is_followed, PAGES):
-            followed = follow(page, copied(demo, Path(name) / page.stem), SKIP.get(page.stem))
+            followed = follow(
+                page, copied(demo, Path(name) / page.stem), SKIP.get(page.stem), {"abrace demo": ended.stdout}
+            )
+            compared += followed.compared
             executed += followed.executed
             skipped |= followed.skipped
             wrong += [f"{page.name}: {line}" for line in followed.wrong]
@@ -34,6 +37,7 @@ def verify_docs() -> tuple[dict[str, Any], list[Claim]]:
         "blocks": executed + len(skipped),
         "executed": executed,
         "skipped": skipped,
+        "compared": compared,
         "pictures": len(pictures),
         "seconds": time.monotonic() - begin,
     }

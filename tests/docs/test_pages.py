@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every page is followed: its blocks run in their order, in a folder that holds the results of the demo.
 
-What is not run is listed with its reason in `page_runner.NOT_HERE` and `SKIP`.
+What is not run is listed with its reason in `page_runner.NOT_HERE` and `SKIP`, what is not compared in `ELSEWHERE`.
 """
 
 from pathlib import Path

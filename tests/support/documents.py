@@ -13,6 +13,8 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
 """Every page of the documentation."""
+EXAMPLES = sorted((ROOT / "examples").glob("*/README.md"))
+"""The page of each example."""
 GENERATED = [path.stem.removeprefix("write_") for path in sorted((ROOT / "docs").glob("write_*.py"))]
 """Pages made from the code, by docs/write_NAME.py."""
 HEADS = ("abrace", "ros2", "make", "python", "source")
@@ -48,6 +50,7 @@ def blocks(page: Path) -> list[Block]:
     for line in lines:
         fence = re.match(r" *```(\S*)", line)
         if fence:
+            _end(indented, found)
             inside = []
             for each in lines:
                 if each.strip() == "```":

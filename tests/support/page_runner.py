@@ -1,12 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs a page of the documentation: its blocks in their order, in one folder, from what the page itself has made.
 
-Files are written, Python is run in one program a page, commands in a shell. A ```text block is what the lines before it
-print: each of its lines has to be there, `...` stands for anything.
+Files are written, Python is run in one program a page, commands in a shell. What a page shows of their output is
+compared:
+
+- a ```text block, with all that the blocks between it and the ```text block before it print: its lines have to be there
+  in their order, each number with all its digits; `...` stands for anything;
+- a comment behind an expression or a print that begins as a value does (`run.period  # 0.002 s`), with that line alone,
+  a number to the digits that are shown.
+
+A ```text block with nothing printed before it is wrong, unless `ELSEWHERE` says what compares it.
 """
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import io
 import multiprocessing
@@ -17,9 +25,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tokenize
 import traceback
 import warnings
 from dataclasses import dataclass, field
+from decimal import Decimal
 from typing import TYPE_CHECKING
 
 from bag_of_run import write_bag
@@ -30,7 +40,7 @@ import abrace
 from abrace.processes.group import find_executable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from multiprocessing.connection import Connection
     from pathlib import Path
 
@@ -58,12 +68,24 @@ PLACEHOLDER = re.compile(r"\b(BAG|FILE|STEP|NODE|TIME|NAME|DIRECTORY|OUT|PACKAGE
 SKIP: dict[str, dict[str, str]] = {
     "CONTRIBUTING": {"python -m pytest ": "a test; test_architecture looks whether it is there"},
     "bags": {"abrace report results/demo": "needs the whole demo: make verify PARTS=docs"},
-    "measured_data": {"abrace run abrace_sysid ambient": "the reader's data"},
+    "measured_data": {"abrace run abrace_sysid ambient .*:=bags/": "the reader's data"},
     "test_day": {"abrace campaign my_day": "the reader's test day"},
     "your_own": {"abrace campaign examples/": "test_docs checks them"},
     "first_hour": {"abrace bag plot bags/second": "bags of real time: test_first_hour"},
 }
 """Of a page: patterns of further lines that are not run, and why."""
+FAILS = {r"abrace campaign day\.yaml --check": 2, r"abrace run abrace_plant ground_motion .*:=30\.0$": 2}
+"""Exit codes, other than 0, of lines that are refused."""
+DEMO = "the whole demo: make verify PARTS=docs"
+ELSEWHERE: dict[str, dict[str, str]] = {
+    "README": {"Without and with lqg3": DEMO},
+    "first_hour": {"Peaks of the top floor": DEMO, "node ": "needs a rig that runs: test_first_hour"},
+    "operator": {"viewer: ": "runs until it is stopped: test_first_hour"},
+}
+"""Of a page: patterns of ```text blocks that show what lines print that are not run here, and what compares them."""
+NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?\b")
+VALUE = re.compile(rf"# ({NUMBER.pattern}|[\[(<{{'\"]|(?:True|False|None)\b)")
+"""How a comment begins that states a value."""
 PATIENCE = 600.0
 """Seconds after which a command that does not end is killed, and its page wrong."""
 FORKS = multiprocessing.get_context("forkserver")
@@ -74,10 +96,11 @@ FORKS.set_forkserver_preload(["page_runner", "matplotlib.pyplot", "pandas", "con
 
 @dataclass
 class Followed:
-    """What was run of a page, what was not and why, and what does not print what the page shows."""
+    """What was run of a page, what was not and why; how much of its output was compared, and what is not printed."""
 
     executed: int = 0
     skipped: dict[str, str] = field(default_factory=dict)
+    compared: int = 0
     wrong: list[str] = field(default_factory=list)
 
 
@@ -104,6 +127,8 @@ def make_demo(folder: Path) -> None:
 
 def reason(line: str, skip: dict[str, str]) -> str:
     """Why a line is not run; empty: it is."""
+    if any(re.match(pattern, line) for pattern in FAILS):
+        return ""
     found = (why for pattern, why in {**skip, **NOT_HERE}.items() if re.match(pattern, line))
     return next(found, "a word that the reader replaces" if PLACEHOLDER.search(line) else "")
 
@@ -115,19 +140,27 @@ def lines(block: Block) -> list[str]:
     return [line for line in cut if line.startswith(RUN) and (line.split()[0] in HEADS or "=" in line.split()[0])]
 
 
-def follow(page: Path, folder: Path, skip: dict[str, str] | None = None) -> Followed:
-    """Run the blocks of a `page` in a `folder`; `skip`: patterns of further lines that are not run, and why."""
+def follow(
+    page: Path, folder: Path, skip: dict[str, str] | None = None, printed: Mapping[str, str] | None = None
+) -> Followed:
+    """Run the blocks of a `page` in a `folder`.
+
+    `skip`: patterns of further lines that are not run, and why. `printed`: what lines that begin so have printed, which
+    were run before.
+    """
     ours, theirs = FORKS.Pipe()
     interpreter = FORKS.Process(target=_interpret, args=(theirs, folder, dict(os.environ)))
     interpreter.start()
     theirs.close()
     with ours:
-        followed = _follow(page, folder, skip or {}, ours)
+        followed = _follow(page, folder, skip or {}, printed or {}, ours)
     interpreter.join()
     return followed
 
 
-def _follow(page: Path, folder: Path, skip: dict[str, str], interpreter: Connection) -> Followed:
+def _follow(
+    page: Path, folder: Path, skip: dict[str, str], known: Mapping[str, str], interpreter: Connection
+) -> Followed:
     followed, printed, variables = Followed(), "", []
     for block in blocks(page):
         if block.name:
@@ -138,29 +171,62 @@ def _follow(page: Path, folder: Path, skip: dict[str, str], interpreter: Connect
                 followed.skipped[block.text.splitlines()[0]] = why
                 continue
             interpreter.send(block.text)
-            right, shown = interpreter.recv()
-            assert right, f"{block.text}\n{shown}"
-            printed += shown
+            right, statements = interpreter.recv()
+            assert right, "\n".join([block.text, *(shown for shown, _ in statements)])
+            printed += "".join(shown for shown, _ in statements)
+            stated = [(shown, comment) for shown, comment in statements if comment]
+            followed.compared += len(stated)
+            followed.wrong += [comment for shown, comment in stated if not is_value(comment, shown)]
             followed.executed += 1
         elif block.language in ("", "bash"):
             for line in lines(block):
-                if why := reason(line, skip):
+                if before := [text for words, text in known.items() if line.startswith(words)]:
+                    printed += before[0]
+                elif why := reason(line, skip):
                     followed.skipped[line] = why
                 elif line.startswith(("bag=", "day=")):
                     variables.append(line)
                 else:
-                    printed += run_line(line, folder, variables)
+                    code = next((code for pattern, code in FAILS.items() if re.match(pattern, line)), 0)
+                    printed += run_line(line, folder, variables, code)
                     followed.executed += 1
-        elif block.language == "text" and printed:
-            followed.wrong += [line for line in block.text.splitlines() if not _shown(line, printed)]
+        elif block.language == "text":
+            if printed or not any(re.match(pattern, block.text) for pattern in ELSEWHERE.get(page.stem, {})):
+                followed.compared += 1
+                followed.wrong += not_printed(block.text, printed)
             printed = ""
     return followed
 
 
-def _shown(line: str, printed: str) -> bool:
-    """Whether a line is printed, up to spaces and what `...` stands for."""
-    words = [re.escape(" ".join(part.split())) for part in line.split("...")]
-    return not line.strip() or re.search(".*".join(words), " ".join(printed.split())) is not None
+def not_printed(shown: str, printed: str) -> list[str]:
+    """The `shown` lines that are not `printed`, in their order, up to spaces; `...` is anything within a line."""
+    begin, wrong = 0, []
+    for line in shown.splitlines():
+        pattern = r"\s*.*?\s*".join(map(_whole, f" {line} ".split("...")))
+        if found := re.compile(pattern).search(printed, begin):
+            begin = found.end()
+        else:
+            wrong.append(line)
+    return wrong
+
+
+def _whole(part: str) -> str:
+    """A pattern for a part of a line: its first and last word or number are the whole of one that is printed."""
+    words = r"\s+".join(map(re.escape, part.split()))
+    return (
+        (r"(?<![\w.-])" if re.match(r"\s+\w", part) else "")
+        + words
+        + (r"(?!\.?\w)" if re.search(r"\w\s+$", part) else "")
+    )
+
+
+def is_value(comment: str, printed: str) -> bool:
+    """Whether a `comment` states what is `printed`; of a number the digits that it has, and a unit may follow."""
+    number = NUMBER.match(comment)
+    if number and NUMBER.fullmatch(printed.strip()):
+        shown = Decimal(number[0])
+        return Decimal(printed.strip()).quantize(shown) == shown
+    return bool(printed) and not not_printed(comment, printed)
 
 
 def _enter(folder: Path, variables: dict[str, str]) -> None:
@@ -173,27 +239,45 @@ def _enter(folder: Path, variables: dict[str, str]) -> None:
 
 
 def _interpret(pipe: Connection, folder: Path, variables: dict[str, str]) -> None:
-    """Run each text that comes, with the names that those before it left; answer whether it ended, and its output."""
+    """Run each text that comes, with the names that those before it left.
+
+    The answer is whether it ended, and what each statement prints, with the value that a comment behind it states.
+    """
     _enter(folder, variables)
     names = {"__name__": "page"}
     with contextlib.suppress(EOFError):
         while True:
-            text, output = pipe.recv(), io.StringIO()
+            text, statements = pipe.recv(), []
             try:
-                with contextlib.redirect_stdout(output):
-                    exec(compile(text, "page", "exec"), names)
-                pipe.send((True, output.getvalue()))
+                statements += _statements(text, names)
+                pipe.send((True, statements))
             except BaseException:  # the page's, shown by the test
-                pipe.send((False, output.getvalue() + traceback.format_exc()))
+                pipe.send((False, [*statements, (traceback.format_exc(), "")]))
 
 
-def run_line(line: str, folder: Path, variables: Sequence[str] = ()) -> str:
-    """What a line prints, after these lines that set variables; it has to end with 0."""
+def _statements(text: str, names: dict[str, object]) -> Iterator[tuple[str, str]]:
+    """Run the statements of a text; what each prints, or is where its value is stated, and the stated value."""
+    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+    stated = {each.start[0]: each.string[2:] for each in tokens if VALUE.match(each.string)}
+    for statement in ast.parse(text).body:
+        comment = stated.get(statement.end_lineno or 0, "") if isinstance(statement, ast.Expr) else ""
+        with contextlib.redirect_stdout(io.StringIO()) as output:
+            if comment and isinstance(statement, ast.Expr):
+                value = eval(compile(ast.Expression(statement.value), "page", "eval"), names)
+                if value is not None:
+                    print(value)
+            else:
+                exec(compile(ast.Module([statement], []), "page", "exec"), names)
+        yield output.getvalue(), comment
+
+
+def run_line(line: str, folder: Path, variables: Sequence[str] = (), code: int = 0) -> str:
+    """What a line prints, after these lines that set variables; it has to end with this `code`."""
     script = "\n".join([*variables, line if not line.startswith("abrace ") else f"printf '%s\\0' {line}"])
     ended = subprocess.run(["bash", "-ec", script], cwd=folder, capture_output=True, text=True, check=False)
     if ended.returncode == 0 and line.startswith("abrace "):
         ended = _fork(ended.stdout.split("\0")[:-1], folder)
-    assert ended.returncode == 0, f"{line}\n{ended.stdout}{ended.stderr}"
+    assert ended.returncode == code, f"{line}\n{ended.stdout}{ended.stderr}"
     return ended.stdout
 
 
