@@ -157,6 +157,7 @@ class Hands(Commander):
         self.hold(0.0, SLOWEST)
         answer = self.graph.clear_fault("plant")
         assert answer.success, answer.message
+        self.until(lambda: self.last.state == Response.FADING_IN, 0.0)
         self.hold(PUSH, RAMP + 5)
         faded = self.commands[-RAMP - 5 :]
         assert faded[-1] == PUSH, "the force is in"
@@ -234,9 +235,10 @@ def sender_gone(hands: Hands) -> None:
         assert graph.change_state("plant", transition), f"{transition} was refused"
     assert not graph.change_state("plant", "activate"), "activated while a stop is pressed"
     graph.until(lambda: graph.clear_fault("plant").success, "it to be cleared")
-    run = hands.last.run
+    run, hands.shaking = hands.last.run, -1
     assert graph.change_state("plant", "activate")
     graph.until(lambda: hands.last.run != run, "a new run")
+    hands.until(lambda: hands.last.state == Response.RUNNING, 0.0)
     hands.hold(PUSH, 10)
     assert hands.commands[-1] == PUSH
 
@@ -317,7 +319,7 @@ def sensor_at_its_end(hands: Hands) -> None:
 def motion_cut(hands: Hands) -> None:
     """A motion beyond the table's limits, that nobody refused: cut, and every such sample says so."""
     hands.begin_new_run()
-    hands.hold(0.0, 2)
+    hands.until(lambda: hands.last.state == Response.RUNNING, 0.0)
     graph, peak = hands.graph, TABLE.peak_acceleration
     graph.until_well("plant")
     before, first = int(graph.values("plant")["table_limits"]), len(hands.responses)

@@ -188,7 +188,8 @@ class Table:
         graph.until(lambda: graph.values("ground_motion").get("sequence", "-1") != "-1", "samples")
 
     def begin(self) -> None:
-        """Nothing moves."""
+        """Nothing moves, and something may."""
+        self.graph.until(lambda: "plant: running" in self.graph.reported(), "the rig to run")
 
     def refuse(self) -> None:
         """El Centro with a PGA of 30 m/s^2, where the table has 10, is refused before it is played."""
@@ -255,24 +256,36 @@ class OldSamples:
 
     def _until_answered(self, sequence: int) -> None:
         """Send a sample, and wait until both have answered."""
-        count = len(self.commands) + 1
-        self.publisher.publish(self._sample(self.run, sequence))
-        self.graph.until(lambda: len(self.commands) >= count and len(self.motions) >= count, "the answers")
+        sample = self._sample(self.run, sequence)
+        self.publisher.publish(sample)
+        self.graph.until(
+            lambda: (
+                bool(self.commands and self.motions)
+                and self.commands[-1].sequence == sequence
+                and self.motions[-1].header.stamp == sample.header.stamp
+            ),
+            "the answers",
+        )
 
     def answer(self) -> None:
-        """Old and repeated samples, and those of earlier runs, are not answered and change nothing."""
+        """Old samples, and those of earlier runs, are not answered; the last one, said again, is, and as before."""
         for sequence in range(1, 201):
             if sequence > 100 and sequence % 10 == 0:
                 for run, old in ((self.run, sequence - 1), (self.run, sequence - 50), (self.run - 5, sequence)):
                     self.publisher.publish(self._sample(run, old))
             self._until_answered(sequence)
-        assert [one.sequence for one in self.commands] == list(range(1, 201)), "an old sample was answered"
-        forces = np.array([one.force[0] for one in self.commands])
+        answers = {one.sequence: one.force[0] for one in self.commands}
+        assert list(answers) == list(range(1, 201)), "an old sample was answered"
+        assert all(one.force[0] == answers[one.sequence] for one in self.commands), "another answer to the same sample"
+        again = [one for one, after in itertools.pairwise(self.commands) if one.sequence == after.sequence]
+        assert [one.sequence for one in again] == list(range(109, 200, 10)), "a sample that was said again"
+        forces = np.array([*answers.values()])
         steps = np.abs(np.diff(forces))
         assert steps.max() <= np.abs(np.diff(self.signal[:201])).max() + 1e-9, "a step in force"
         assert (forces == self.signal[1:201]).all(), "another force than the signal's"
-        motion = np.array([one.accel.linear.x for one in self.motions])
-        assert np.abs(np.diff(motion)).max() < 0.1, "a step in acceleration"
+        stamps = [(one.header.stamp.sec, one.header.stamp.nanosec) for one in self.motions]
+        motion = dict(zip(stamps, (one.accel.linear.x for one in self.motions), strict=True))
+        assert np.abs(np.diff([*motion.values()])).max() < 0.1, "a step in acceleration"
         assert len(motion) == 200
 
 

@@ -52,29 +52,41 @@ PLACE = 1e-3
 """Difference of abrace's place of the table from the measured one that counts as the same [m]."""
 
 
-def sine(sequence: int, _: list[float]) -> tuple[float, float]:
-    """5 kN at 1.17 Hz, and a table that moves by some centimetres."""
-    return 5e3 * math.sin(2 * math.pi * 1.17 * sequence / RATE), _table(sequence)
+class Shake:
+    """A table that moves by some centimetres, each time towards its middle from where the last stop has left it."""
+
+    def __init__(self) -> None:
+        self._first, self._sign = 0, 1.0
+
+    def begin(self, place: float) -> None:
+        """Begin anew with the next sample."""
+        self._first, self._sign = -1, -math.copysign(0.3, place)
+
+    def at(self, sequence: int) -> float:
+        """0.3 m/s^2 at 0.7 Hz; it begins as a cosine does, so that it does not drift."""
+        if self._first < 0:
+            self._first = sequence
+        return self._sign * math.cos(2 * math.pi * 0.7 * (sequence - self._first) / RATE)
 
 
-def _table(sequence: int) -> float:
-    """0.3 m/s^2 at 0.7 Hz; it begins as a cosine does, so that it does not drift."""
-    return 0.3 * math.cos(2 * math.pi * 0.7 * sequence / RATE) if sequence > RATE else 0.0
+def sine(shake: Shake) -> Law:
+    """5 kN at 1.17 Hz, and a table that moves."""
+    return lambda sequence, _: (5e3 * math.sin(2 * math.pi * 1.17 * sequence / RATE), shake.at(sequence))
 
 
-def noise() -> Law:
-    """Forces with an rms of 4 kN, up to some 8 Hz."""
+def noise(shake: Shake) -> Law:
+    """Forces with an rms of 4 kN, up to some 8 Hz, and a table that moves."""
     values, chance = [0.0, 0.0], random.Random(1)
 
     def law(sequence: int, _: list[float]) -> tuple[float, float]:
         values[0] += 0.1 * (chance.gauss(0.0, 20e3) - values[0])
         values[1] += 0.1 * (values[0] - values[1])
-        return values[1], _table(sequence)
+        return values[1], shake.at(sequence)
 
     return law
 
 
-def controlled() -> Law:
+def controlled(shake: Shake) -> Law:
     """LQG3, and a table that moves."""
     law = ControlLaw(lqg3(), signals.response_names(RIG.floors, RIG.groups))
 
@@ -82,12 +94,12 @@ def controlled() -> Law:
         others = 2 * RIG.floors + RIG.groups
         force = law.update([*reading[:others], float(np.mean(reading[others:-1]))]).tolist()
         law.advance(force)
-        return force[0], _table(sequence)
+        return force[0], shake.at(sequence)
 
     return answer
 
 
-LAWS: dict[str, Callable[[], Law]] = {"sine": lambda: sine, "noise": noise, "LQG3": controlled}
+LAWS: dict[str, Callable[[Shake], Law]] = {"sine": sine, "noise": noise, "LQG3": controlled}
 
 
 class Stops:
@@ -96,6 +108,7 @@ class Stops:
     def __init__(self) -> None:
         self.trips = self.latched = self.followed_again = self.cable_cuts = self.cable_passed = self.stalled = 0
         self.worst_step = 0.0
+        self.shake = Shake()
 
     def stopped(self, rig: LiveRig, count: int, stalls: tuple[str, ...]) -> bool | None:
         """Wait until the target has stopped, and all is at rest; whether the fault was latched in time.
@@ -141,6 +154,9 @@ class Stops:
 
     def _driven(self, rig: LiveRig, chance: random.Random) -> int:
         """Let the rig run and be driven until a random instant; the number of samples so far."""
+        place = rig.seen[-1].target.table if rig.seen else 0.0
+        assert place is not None
+        self.shake.begin(place)
         rig.start()
         time.sleep(chance.uniform(0.1, 0.8))
         return len(rig.seen)
@@ -207,7 +223,7 @@ def target_stops(trips: int = TRIPS, cuts: int = CUTS) -> dict[str, Any]:
     stops, chance = Stops(), random.Random(1)
     for number, (name, law) in enumerate(LAWS.items()):
         with tempfile.TemporaryDirectory() as folder:
-            rig = LiveRig(Path(folder), law())
+            rig = LiveRig(Path(folder), law(stops.shake))
             try:
                 for wanted, act in ((trips, stops.trip), (cuts, stops.cut)):
                     for _ in range(wanted // 3 + (number < wanted % 3)):

@@ -22,7 +22,8 @@ def live(tmp_path):
 
 
 def test_a_target_that_stops_or_is_cut_off_is_latched_and_followed_no_more(live):
-    stops, rig, chance = Stops(), live(sine), random.Random(2)
+    stops, chance = Stops(), random.Random(2)
+    rig = live(sine(stops.shake))
     stops.trip(rig, chance)
     assert (stops.latched, stops.followed_again) == (1, 0), rig.safety.cause
     stops.cut(rig, chance)
