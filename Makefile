@@ -106,11 +106,11 @@ verify: tools  ## accuracy claims, measured: results/verify.json
 
 bench: tools  ## speed claims, compared with other programs: results/bench.json
 	@$(ENVIRONMENT)
-	python benchmarks/bench.py
+	python benchmarks/bench.py $(PARTS)
 
-soak: tools  ## long runs of logger, wrong messages and operator's page, some hours: results/soak.json
+soak: tools  ## long runs of logger and operator's page, 75 minutes: results/soak.json
 	@$(ENVIRONMENT)
-	python benchmarks/soak.py
+	python benchmarks/soak.py $(PARTS)
 
 clean:  ## remove what was built (results, bags and whatever else a person made stay)
 	@rm -rf .venv .sourced .pip build ros2_ws/build ros2_ws/install ros2_ws/log

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Speed claims against their peers, measured in one run: `make bench`. Writes results/bench.json and prints a table.
+"""Speed claims against their peers, measured in one run: `make bench`; some parts alone by `make bench PARTS=reading`.
+
+Prints a table, and writes results/bench.json as each part ends; what an earlier run found of others stays.
 
 simulation     50 000 closed-loop steps, linear and saturated, against scipy's lfilter and dlsim
-plant_step_us  a sample of the simulated rig as the node `plant` takes it, against a round trip of the echo below
+plant_step     a sample of the simulated rig as the node `plant` takes it, against a round trip of the echo below
 lockstep       the demo's closed loop (plant, ground motion, controller, logger, each a process of its own) against a
                bare echo of the same messages between two processes, and a bare graph of four, measured just before and
                just after; all of them with the least real-time priority, where allowed, and once more without
-controller, loop  a step of LQG3, its answer over DDS and the echo
-explore        100 000 closed loops of 50 000 steps on all cores, linear and saturating, and a million of 5 000
+controller     a step of LQG3, its answer over DDS and the echo
+studies        18 closed loops; 100 000 of 50 000 steps on all cores, linear and saturating, and a million of 5 000
                steps, from models to files
 reading        1 000 000 responses to arrays, against `rosbags` and `mcap-ros2-support`
 report         report.html of the demo: `abrace report` as a process of its own, its size, and a headless Chromium
@@ -19,6 +21,7 @@ identification from bags of 600 s to the model, against scikit-rf's VectorFittin
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import json
 import os
@@ -26,13 +29,13 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from bag_reading import bag_reading
 from campaign_overhead import campaign_overhead
+from claims import keep
 from controller_speed import controller_speed, lqg3
 from fragility_speed import fragility_speed
 from identification_speed import identification_speed
@@ -52,9 +55,9 @@ from abrace_plant.live.loop import RigLoop, rig_outputs
 from abrace_plant.rig.file import load_rig
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
-T = TypeVar("T")
+RESULTS = Path("results/bench.json")
 HERE = Path(__file__).parent.resolve()
 ECHO_COUNT = 20_000
 PLANT_STEPS = 20_000
@@ -192,19 +195,32 @@ def bag_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
 
 
 def controller_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table: a step, the loop over DDS, agreement with other tools, an exploration."""
-    loop, explore = found["loop"], found["explore"]
+    """Rows of the table: a step, and the loop over DDS."""
+    loop = found["loop"]
     median, slow = (f"bare echo {loop[key]:.0f}" for key in ("echo_median_us", "echo_p999_us"))
     return [
         ("a step of the controller, us", f"{found['controller']['step_us']:.1f}", "8", "-", "-"),
         ("sample to command, median, us", f"{loop['median_us']:.0f}", "1 x", median, f"{loop['median_ratio']:.2f}"),
         ("sample to command, 99.9 %, us", f"{loop['p999_us']:.0f}", "1.2 x", slow, f"{loop['p999_ratio']:.2f}"),
-        ("18 closed loops of 10 000 steps, s", f"{found['studies']['seconds_18_loops']:.2f}", "0.5", "-", "-"),
-        ("100 000 closed loops of 50 000 steps, s", f"{explore['seconds_100000']:.0f}", "110", "-", "-"),
-        ("the same, saturating, s", f"{explore['seconds_100000_saturating']:.0f}", "180", "-", "-"),
-        ("1 000 000 of 5 000 steps, resumed once, s", f"{explore['seconds_million_short']:.0f}", "180", "-", "-"),
-        ("memory of all processes in them, MB", f"{explore['memory_mb']:.0f}", "2000", "-", "-"),
     ]
+
+
+def studies_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of the table: many closed loops."""
+    return [
+        ("18 closed loops of 10 000 steps, s", f"{found['seconds_18_loops']:.2f}", "0.5", "-", "-"),
+        ("100 000 closed loops of 50 000 steps, s", f"{found['seconds_100000']:.0f}", "110", "-", "-"),
+        ("the same, saturating, s", f"{found['seconds_100000_saturating']:.0f}", "180", "-", "-"),
+        ("1 000 000 of 5 000 steps, resumed once, s", f"{found['seconds_million_short']:.0f}", "180", "-", "-"),
+        ("memory of all processes in them, MB", f"{found['memory_mb']:.0f}", "2000", "-", "-"),
+    ]
+
+
+def plant_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of the table: a sample of the rig."""
+    step, trip = found["step_us"], found["round_trip_us"]
+    asked, peer = f"{trip / 10:.1f}", f"round trip {trip:.0f} us"
+    return [("a sample of the rig, us", f"{step:.1f}", asked, peer, f"{trip / step:.1f}")]
 
 
 def campaign_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
@@ -235,54 +251,50 @@ def start_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     ]
 
 
-def measured(name: str, measure: Callable[[], T]) -> T:
-    """What `measure` returns; prints the part's name, and how long it took."""
-    print(f"{name} ...", flush=True)
-    begin = time.monotonic()
-    found = measure()
-    print(f"{name}: {time.monotonic() - begin:.0f} s", flush=True)
-    return found
+class Part(NamedTuple):
+    """What measures a part, and the rows that show it."""
+
+    measure: Callable[[], dict[str, Any]]
+    rows: Callable[[dict[str, Any]], Iterable[tuple[str, ...]]]
+
+
+PARTS = {
+    "simulation": Part(simulation_speed, simulation_rows),
+    "plant_step": Part(
+        lambda: {"step_us": plant_step(), "round_trip_us": 1e6 / round_trips(LEAST_PRIORITY, "brace_command")},
+        plant_rows,
+    ),
+    "lockstep": Part(lambda: lockstep(LEAST_PRIORITY) | {"without_priority": lockstep(0)}, lockstep_rows),
+    "reading": Part(bag_reading, bag_rows),
+    "identification": Part(identification_speed, identification_rows),
+    "controller": Part(controller_speed, controller_rows),
+    "studies": Part(fragility_speed, studies_rows),
+    "report": Part(report_speed, report_rows),
+    "campaign": Part(campaign_overhead, campaign_rows),
+    "node_start": Part(node_start, start_rows),
+}
 
 
 def main() -> None:
     """Measure, write, print."""
+    parser = argparse.ArgumentParser(description="Speed claims against their peers.")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; all without any")
+    given = parser.parse_args().parts
+    if unknown := [name for name in given if name not in PARTS]:
+        parser.error(f"{', '.join(unknown)}: expected {', '.join(PARTS)}")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    found: dict[str, Any] = {
-        "simulation": measured("simulation", simulation_speed),
-        "plant_step_us": measured("a sample of the rig", plant_step),
-        "identification": measured("identification", identification_speed),
-        "explore": measured("explore", fragility_speed),
-        "reading": measured("reading", bag_reading),
-    }
-    found["studies"] = {"seconds_18_loops": found["explore"].pop("seconds_18_loops")}
-    with isolated():
-        without = measured("lockstep without a priority", partial(lockstep, 0))
-        found["lockstep"] = measured("lockstep", partial(lockstep, LEAST_PRIORITY)) | {"without_priority": without}
-        found |= measured("controller", controller_speed)
-        found["report"] = measured("report", report_speed)
-        found["campaign"] = measured("campaign", campaign_overhead)
-        found["node_start"] = measured("node_start", node_start)
-    write_text("results/bench.json", json.dumps(found, indent=1) + "\n")
-    loop, step = found["lockstep"], found["plant_step_us"]
-    trip = 1e6 / loop["echo_per_second"]
-    rows = (
-        *simulation_rows(found["simulation"]),
-        (
-            "a sample of the rig, us",
-            f"{step:.1f}",
-            f"{trip / 10:.1f}",
-            f"round trip {trip:.0f} us",
-            f"{trip / step:.1f}",
-        ),
-        *lockstep_rows(loop),
-        *bag_rows(found["reading"]),
-        *identification_rows(found["identification"]),
-        *controller_rows(found),
-        *report_rows(found["report"]),
-        *campaign_rows(found["campaign"]),
-        *start_rows(found["node_start"]),
-    )
-    print(Table("Speed", ("claim", "reached", "asked", "peer", "ratio"), rows).text())
+    rows: list[tuple[str, ...]] = []
+    for name, part in PARTS.items():
+        if given and name not in given:
+            continue
+        print(f"{name} ...", flush=True)
+        begin = time.monotonic()
+        with isolated():
+            found = part.measure()
+        print(f"{name}: {time.monotonic() - begin:.0f} s", flush=True)
+        keep(RESULTS, {name: found})
+        rows += part.rows(found)
+    print(Table("Speed", ("claim", "reached", "asked", "peer", "ratio"), tuple(rows)).text())
 
 
 if __name__ == "__main__":

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from abrace.report.table import Table
+from abrace_core.files.writing import write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -41,3 +44,9 @@ def claim_table(claims: Sequence[Claim]) -> Table:
         for claim in claims
     )
     return Table("Accuracy (relative errors, unless stated)", ("claim", "reached", "asked", "peer", ""), rows)
+
+
+def keep(path: Path, values: Mapping[str, Any]) -> None:
+    """Write `values` to the results in a file; what an earlier run has left there of others stays."""
+    found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    write_text(path, json.dumps({**found, **values}, indent=1) + "\n")

@@ -7,6 +7,7 @@ exceptions   places    callbacks and tasks, found by introspection
 bounds       calls     messages and requests with values at and beyond their bounds, life cycle in random order
              deaths    nodes that ended
              deaf      nodes that answered no more
+             the rest  as in wrong_endurance.py
 
 python benchmarks/planted_everywhere.py exceptions | bounds [CALLS ON EACH TOPIC AND SERVICE]
 """
@@ -23,7 +24,7 @@ from claims import Claim
 from isolation import isolated
 from planted_exceptions import planted_in_every_node
 from running_graph import PATIENCE, graph_of_its_own
-from wrong_endurance import measure
+from wrong_endurance import CAPACITY, RATE_STEP, measure
 
 from abrace_core.files.installed import find_file
 
@@ -53,7 +54,10 @@ def bounds(calls: int = CALLS) -> dict[str, Any]:
     """Values for verify.json."""
     with isolated():
         found = measure(calls)
-    return {"calls": found["messages"], "deaths": found["died"], "deaf": found["deaf"]}
+    kept = ("topics", "services", "not_finite", "greatest_force", "worst_step", "at_device", "samples", "faults")
+    return {"calls": found["messages"], "deaths": found["died"], "deaf": found["deaf"]} | {
+        name: found[name] for name in kept
+    }
 
 
 def verify_exceptions() -> tuple[dict[str, Any], list[Claim]]:
@@ -72,6 +76,13 @@ def verify_bounds() -> tuple[dict[str, Any], list[Claim]]:
         Claim("calls beyond all bounds", found["calls"], 1e4, "-", least=True),
         Claim("nodes that died of them", found["deaths"], 0, "-"),
         Claim("nodes that answered no more", found["deaf"], 0, "-"),
+        Claim("samples at which what acted was not finite", found["not_finite"], 0, "-"),
+        Claim("greatest force [N]", found["greatest_force"], CAPACITY, "capacity"),
+        Claim("greatest step [N]", found["worst_step"] / (1 + 1e-12), RATE_STEP, "rate limit"),
+        *(
+            Claim(f"{name.replace('_', ' ')} at the emulated device, of its limit", share / (1 + 1e-9), 1.0, "-")
+            for name, share in found["at_device"].items()
+        ),
     ]
 
 

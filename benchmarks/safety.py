@@ -4,6 +4,7 @@
 pairs, pairs_covered        pairs of a state and an event, and those that a real RigSafety takes as docs/rig.md says
 interlocks, interlocks_tripped  those of the paper's rig, and those that a planted fault trips before any other one
 cases                       by name: runs, and those that passed
+all_cases                   their number, the runs of all of them, those that passed, and those that failed in a stall
 worst_step_over_rate_limit  of all of them: the greatest change of a command between two samples over what is allowed,
                             also as it reaches the emulated actuators
 controller                  killed, stopped, flooding, behind `sensor_bridge` and emulator: runs, and those in which the
@@ -141,6 +142,10 @@ def safety(runs: int = RUNS, controller_runs: int = CONTROLLER_RUNS, only: tuple
         "pairs_covered": covered,
         **interlocks_tripped(),
         "cases": rows.found,
+        "all_cases": {
+            "cases": len(rows.found),
+            **{key: sum(one[key] for one in rows.found.values()) for key in ("runs", "passed", "while_stalled")},
+        },
         "worst_step_over_rate_limit": max(rows.worst_step, failing.worst_step),
         "controller": failing.found,
         NOTHING_CALLED: without,

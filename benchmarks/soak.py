@@ -1,19 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Endurance of the logger, the nodes and the page: `make soak`. Writes results/soak.json and prints tables.
+"""Endurance of the logger and the page: `make soak`; one of them alone by `make soak PARTS=page`.
 
-graph   10 minutes of the closed loop in real time at 500 Hz (plant, ground motion, controller, logger) while a process
+Prints tables, and writes results/soak.json as each part ends; what an earlier run found of others stays.
+
+logger  10 minutes of the closed loop in real time at 500 Hz (plant, ground motion, controller, logger) while a process
         keeps one core busy: messages on three topics, those of them that were lost, share of a core that the
-        logger takes
-flood   the highest rate of one topic at which the logger loses nothing, against a subscription that writes nothing
-wrong   10 000 messages of wrong content on every topic and service of every node, of the rig behind the bridge also
-        what reaches the emulated device
+        logger takes; and the highest rate of one topic at which it loses nothing, against a subscription that writes
+        nothing
 page    the operator's page open for an hour at 500 Hz: what its server and the browser grow by; needs Chromium
-
-python benchmarks/soak.py SECONDS    # another duration of the first
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import sys
@@ -22,23 +21,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from browser import CHROMIUM
+from claims import keep
 from controller_speed import lqg3
 from isolation import isolated
 from logger_endurance import LOAD, cpu_seconds, flood_rates, running
 from operator_page import GROWTH_LIMIT, HOUR, memory
-from wrong_endurance import CAPACITY, RATE_STEP
-from wrong_endurance import measure as wrong_messages
 
 from abrace.campaign.course import run_campaign
 from abrace.report.table import Table
 from abrace_bags import Bag
 from abrace_bags.mcap.contents import recorded_contents
-from abrace_core.files.writing import write_text
 from abrace_core.model.controller_file import save_controller
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable
 
+RESULTS = Path("results/soak.json")
 DURATION = 600.0
 CAMPAIGN = """name: soak
 rig: ncree_three_storey
@@ -120,58 +118,52 @@ def record_graph(duration: float) -> dict[str, Any]:
     }
 
 
-def page_table(page: Mapping[str, Any]) -> Table:
-    """What `operator_page.memory` gives."""
-    title = f"The operator's page, open for {page['seconds']:.0f} s after the first minute"
-    growth = page["growth"].items()
-    rows = tuple((f"growth of {name.replace('_', ' ')}", f"{share:.3f}", f"{GROWTH_LIMIT}") for name, share in growth)
-    return Table(title, ("memory", "reached", "asked"), rows)
+def logger() -> tuple[dict[str, Any], Table, bool]:
+    """Values, their table, and whether a claim is missed."""
+    found = record_graph(DURATION) | flood_rates()
+    bare = f"bare subscription {found['bare_subscription_rate']:.0f}"
+    rows = (
+        (f"messages lost of {found['messages']}", f"{found['lost']}", "0", "-"),
+        ("share of a core", f"{found['cpu_fraction']:.3f}", "0.25", "-"),
+        ("flood without a loss, messages a second", f"{found['flood_rate']:.0f}", "-", bare),
+    )
+    table = Table("The logger's endurance", ("claim", "reached", "asked", "peer"), rows)
+    return found, table, found["lost"] > 0 or found["cpu_fraction"] >= 0.25
+
+
+def page() -> tuple[dict[str, Any], Table, bool]:
+    """Likewise."""
+    found = memory(HOUR)
+    title = f"The operator's page, open for {found['seconds']:.0f} s after the first minute"
+    growth = found["growth"]
+    rows = tuple(
+        (f"growth of {name.replace('_', ' ')}", f"{share:.3f}", f"{GROWTH_LIMIT}") for name, share in growth.items()
+    )
+    return found, Table(title, ("memory", "reached", "asked"), rows), max(growth.values()) > GROWTH_LIMIT
+
+
+PARTS: dict[str, Callable[[], tuple[dict[str, Any], Table, bool]]] = {"logger": logger, "page": page}
 
 
 def main() -> int:
     """Measure, write, print."""
+    parser = argparse.ArgumentParser(description="Endurance, in the long run.")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; all without any")
+    given = parser.parse_args().parts
+    if unknown := [name for name in given if name not in PARTS]:
+        parser.error(f"{', '.join(unknown)}: expected {', '.join(PARTS)}")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    duration = float(sys.argv[1]) if sys.argv[1:] else DURATION
-    with isolated():
-        logger = record_graph(duration)
-        logger |= flood_rates()
-        wrong = wrong_messages()
-        page = memory(HOUR) if CHROMIUM is not None else None
-    values = {
-        "logger": logger,
-        "wrong": wrong,
-        "page": page or {"not measured": "no chromium on this machine"},
-    }
-    write_text("results/soak.json", json.dumps(values, indent=1) + "\n")
-    bare = f"bare subscription {logger['bare_subscription_rate']:.0f}"
-    rows = (
-        (f"messages lost of {logger['messages']}", f"{logger['lost']}", "0", "-"),
-        ("share of a core", f"{logger['cpu_fraction']:.3f}", "0.25", "-"),
-        ("flood without a loss, messages a second", f"{logger['flood_rate']:.0f}", "-", bare),
-    )
-    print(Table("The logger's endurance", ("claim", "reached", "asked", "peer"), rows).text())
-    at_device = {name.replace("_", " "): one for name, one in wrong["at_device"].items()}
-    endured = (
-        (f"what acted that was not finite, after {wrong['messages']} wrong messages", f"{wrong['not_finite']}", "0"),
-        ("greatest force then, N", f"{wrong['greatest_force']:.0f}", f"{CAPACITY:.0f}"),
-        ("greatest step then, N", f"{wrong['worst_step']:.0f}", f"{RATE_STEP:.0f}"),
-        *((f"{what} at the emulated device, of its limit", f"{share:.6f}", "1") for what, share in at_device.items()),
-        ("nodes that died of them", f"{wrong['died']}", "0"),
-    )
-    print(Table("Nodes in the long run", ("what", "reached", "asked"), endured).text())
-    if page:
-        print(page_table(page).text())
-    missed = (
-        logger["lost"],
-        logger["cpu_fraction"] >= 0.25,
-        wrong["not_finite"],
-        wrong["greatest_force"] > CAPACITY,
-        wrong["worst_step"] > RATE_STEP * (1 + 1e-12),
-        max(at_device.values()) > 1 + 1e-9,
-        wrong["died"],
-        page and max(page["growth"].values()) > GROWTH_LIMIT,
-    )
-    return int(any(missed))
+    any_missed = False
+    for name in given or PARTS:
+        if name == "page" and CHROMIUM is None:
+            print("page: not measured, there is no chromium on this machine")
+            continue
+        with isolated():
+            found, table, missed = PARTS[name]()
+        keep(RESULTS, {name: found})
+        print(table.text())
+        any_missed |= missed
+    return int(any_missed)
 
 
 if __name__ == "__main__":

@@ -21,14 +21,13 @@ at_device                   greatest command at the emulator before it limits th
 died                        nodes; the measurement ends where one does
 deaf                        nodes that do not answer a request of their parameters afterwards
 
-python benchmarks/wrong_endurance.py [MESSAGES]    # on each topic and service
+python benchmarks/planted_everywhere.py bounds [CALLS] measures it alone.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
-import os
 import random
 import re
 import shutil
@@ -42,7 +41,6 @@ from bag_of_run import write_bag
 from controller_speed import lqg3
 from emulated_target import TICKING, EmulatedTarget
 from foxglove_client import FoxgloveClient
-from isolation import isolated
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from operator_page import page_address
@@ -70,7 +68,6 @@ if TYPE_CHECKING:
 SAMPLE_RATE = 500.0
 CAPACITY, RATE_LIMIT = 24516.625, 2.5e6
 RATE_STEP = RATE_LIMIT / SAMPLE_RATE
-MESSAGES = 10_000
 MOST_ANSWERS = 1000
 """Every sixth of them stops the rig, which then needs a second."""
 OFFLINE = {
@@ -341,8 +338,8 @@ def wrong_endurance(
         wrong.close()
 
 
-def measure(messages: int = MESSAGES) -> dict[str, Any]:
-    """Both graphs; call it on a domain of one's own."""
+def measure(messages: int) -> dict[str, Any]:
+    """Both graphs, so many `messages` on each topic and service; call it on a domain of one's own."""
     found = {}
     for rig in ("sensor_bridge", "plant"):
         with graph_of_its_own(f"/wrong_{rig}") as graph:
@@ -364,9 +361,4 @@ def measure(messages: int = MESSAGES) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    if sys.argv[1:2] == ["watch"]:
-        watch(*sys.argv[2:])
-    else:
-        with isolated():
-            print(json.dumps(measure(int(sys.argv[1]) if len(sys.argv) > 1 else MESSAGES), indent=1))
+    watch(*sys.argv[2:])  # as `watch PORT PAGE`
