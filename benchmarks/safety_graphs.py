@@ -93,8 +93,8 @@ class StrongMotion:
                 graph.until(lambda: graph.clear_fault("plant").success, "the rig to be cleared")
             self.responses.clear()
             # where the stop left the table there may be no room for the record: a person moves it to the middle
-            for change in ("cleanup", "configure"):
-                assert graph.change_state("ground_motion", change)
+            for name, change in itertools.product(("plant", "ground_motion"), ("cleanup", "configure")):
+                assert graph.change_state(name, change)
             for name in ("ground_motion", "plant"):
                 graph.until_matched(name, ground_motion=1)
                 assert graph.change_state(name, "activate")
