@@ -104,7 +104,7 @@ class StrongMotion:
 
     def press(self) -> None:
         """Press at a random moment of the strong part, until the table is at rest."""
-        moment = 500 + self.moments.randrange(2000)
+        moment = 1000 + self.moments.randrange(1500)
         self.graph.until(lambda: len(self.responses) > moment, "the strong part")
         self.button.publish(Bool(data=True))
         self.graph.until(lambda: self.responses[-1].state == Response.PROTECTIVE_STOP, "the table to be at rest")

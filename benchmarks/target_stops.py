@@ -46,7 +46,7 @@ TRIPS, CUTS = 200, 100
 RATE = RIG.sample_rate
 OWN_LIMIT = "stop=64"
 STOPPED = (State.RAMPING_DOWN, State.LATCHED, State.PROTECTIVE_STOP, State.NOT_AT_REST)
-STALLS = ("taken late", "samples missed")
+STALLS = ("taken late", "samples missed", "has applied no command")
 """Causes that are this computer's own."""
 PLACE = 1e-3
 """Difference of abrace's place of the table from the measured one that counts as the same [m]."""
@@ -122,7 +122,8 @@ class Stops:
         first = next(i for i, one in enumerate(seen) if not one.target.armed)
         self.followed_again += any(one.target.armed for one in seen[first:])
         latched = next(i for i, one in enumerate(seen) if State(one.sample.head.state) in STOPPED)
-        if latched < first or any(stall in rig.safety.cause for stall in stalls):
+        # at once: it had stopped before, for its own reasons
+        if latched < max(first, 1) or any(stall in rig.safety.cause for stall in stalls):
             self.stalled += 1
             return None
         return latched <= first + 2
@@ -137,7 +138,10 @@ class Stops:
         self.trips += 1
         # a computer that stood still may have stopped the target first, which then has both causes
         well = in_time and all(text in rig.safety.cause for text in ("target not following: ", "a limit of its own"))
-        self.latched += well and self._at_zero(rig)
+        if not (well and self._at_zero(rig)):
+            print(f"\nnot latched in time ({in_time}), or not at zero: {rig.safety.cause}", file=sys.stderr)
+            return
+        self.latched += 1
 
     def cut(self, rig: LiveRig, chance: random.Random) -> None:
         """No packet passes for a while."""
