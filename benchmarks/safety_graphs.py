@@ -180,7 +180,7 @@ class Table:
     def __init__(self, graph: Graph) -> None:
         self.graph, self.seed = graph, itertools.count(1)
         self.responses: list[Response] = []
-        graph.start("plant")
+        graph.start("plant", lockstep=True, wait_for=["ground_motion"])
         graph.start("ground_motion")
         self.client = ActionClient(graph.node, PlayGroundMotion, "play_ground_motion")
         graph.until(self.client.server_is_ready, "the action")
@@ -188,7 +188,9 @@ class Table:
         graph.until(lambda: graph.values("ground_motion").get("sequence", "-1") != "-1", "samples")
 
     def begin(self) -> None:
-        """Nothing moves, and something may."""
+        """Nothing moves, and something may, also after motions of two senders."""
+        for name in ("ground_motion", "plant"):
+            self.graph.clear_any_fault(name)
         self.graph.until(lambda: "plant: running" in self.graph.reported(), "the rig to run")
 
     def refuse(self) -> None:

@@ -156,16 +156,15 @@ class Driven:
         return rig.state in ACTING and any(rig.command)
 
     def clear(self) -> None:
-        """Clear what there is."""
+        """Clear what there is; a table that stands where its interlock would trip is moved first."""
         self.wrong.spin(0.01)
-        if self.wrong.rig.state not in ACTING:
-            self.wrong.until(lambda: self.wrong.rig.state != Response.RAMPING_DOWN, "the rig to come to rest")
-            if AT_ITS_END in self.wrong.rig.cause:
-                self.move_table()
-            for name in STREAMING[::-1]:
-                if name in self.graph.started:
-                    self.clear_fault(name)
-            self.wrong.spin(0.01)
+        if self.wrong.rig.state in (*ACTING, Response.ARMING):
+            return
+        self.wrong.until(lambda: self.wrong.rig.state != Response.RAMPING_DOWN, "the rig to come to rest")
+        said = [self.clear_fault(name) for name in STREAMING[::-1] if name in self.graph.started]
+        if any(AT_ITS_END in text for text in (self.wrong.rig.cause, *said)):
+            self.move_table()
+        self.wrong.spin(0.01)
 
     def go_on(self) -> None:
         """Clear what there is, and play the signals again if they are over."""
@@ -190,9 +189,9 @@ class Driven:
             request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
             self.wrong.call(ChangeState, f"{name}/change_state", request)
 
-    def clear_fault(self, name: str) -> None:
-        """Clear the fault of a node, if it can be cleared."""
-        self.wrong.call(Trigger, f"{name}/clear_fault", Trigger.Request())
+    def clear_fault(self, name: str) -> str:
+        """Clear the fault of a node, if it can be cleared; what it answers."""
+        return str(self.wrong.call(Trigger, f"{name}/clear_fault", Trigger.Request()).message)
 
 
 def start_others(graph: Graph, wrong: WrongMessages, sample_rate: float) -> None:
