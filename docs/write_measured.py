@@ -62,7 +62,7 @@ def numbers() -> dict[str, str]:
 def fields(given: Any) -> list[str]:
     """The keys of every number in all texts of what is `given`, with dots; numbers with a name are not among them."""
     if isinstance(given, str):
-        return [field for _, field, _, _ in Formatter().parse(given) if field and "." in field]
+        return [field for _, field, _, _ in Formatter().parse(given) if field and re.search(r"[.[]", field)]
     inside = given.values() if isinstance(given, dict) else given
     return [field for each in inside for field in fields(each)]
 

@@ -44,7 +44,8 @@ class Block(NamedTuple):
 @cache
 def blocks(page: Path) -> list[Block]:
     """The code blocks of a page, fenced and indented, in their order."""
-    found, lines = [], iter(page.read_text(encoding="utf-8").splitlines())
+    lines = iter(page.read_text(encoding="utf-8").splitlines())
+    found: list[Block] = []
     indented: list[str] = []
     after_empty = True
     for line in lines:

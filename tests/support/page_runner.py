@@ -244,10 +244,11 @@ def _interpret(pipe: Connection, folder: Path, variables: dict[str, str]) -> Non
     The answer is whether it ended, and what each statement prints, with the value that a comment behind it states.
     """
     _enter(folder, variables)
-    names = {"__name__": "page"}
+    names: dict[str, object] = {"__name__": "page"}
     with contextlib.suppress(EOFError):
         while True:
-            text, statements = pipe.recv(), []
+            text = pipe.recv()
+            statements: list[tuple[str, str]] = []
             try:
                 statements += _statements(text, names)
                 pipe.send((True, statements))
