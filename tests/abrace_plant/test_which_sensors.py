@@ -179,7 +179,7 @@ def test_a_target_without_a_channel_of_the_table_reads_what_there_is(tmp_path):
     last = []
     for rig in (rig_with(tmp_path, "a1", "a5"), COMPLETE):
         target = Target(rig, 0)
-        for number in range(300):
+        for number in range(250):
             wanted = Wanted.FOLLOW if number else Wanted.HOLD_ZERO
             target.command(
                 number + 1, np.array([0.0, 0.0, 0.005 * number]), target.outputs.last_arm + (not number), wanted
