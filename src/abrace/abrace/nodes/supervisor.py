@@ -61,11 +61,8 @@ class Supervisor(AbraceNode):
             raise AbraceError(f"parameter inputs: {given.inputs}, expected topic=node, each topic once")
         self.held = ["plant"] if given.plant else list(self.inputs.values())
         self.problems: list[str] = []
-
-    @property
-    def stopped_exit_code(self) -> int:  # type: ignore[override]
-        """That of Ctrl-C, if the test has an end that was not reached."""
-        return 130 if self.parameters.signals else 0
+        if given.signals:  # the test has an end, and is stopped before it
+            self.stopped_exit_code = 130
 
     def work(self) -> None:
         """Begin, watch and end the test."""
