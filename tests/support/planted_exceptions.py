@@ -187,6 +187,7 @@ def each_once(case: Case, own: type) -> type:
             if isinstance(error, Planted) and not self.over:
                 places[str(error)] = "caught"
             else:
+                self.over = True  # nothing is planted in how the node ends, which would not end it
                 super().fail(error)
 
     Each.__name__, Each.__module__ = own.__name__, own.__module__
@@ -210,7 +211,7 @@ def stimulate(node: Any, case: Case, places: dict[str, str]) -> None:
     rounds = 0
 
     def left() -> set[str]:
-        return {name for name, state in places.items() if state != "caught"}
+        return {name for name, state in places.copy().items() if state != "caught"}  # the node adds to them
 
     def ask(service_type: type, name: str, request: Any) -> None:
         client = made.get(name) or made.setdefault(name, other.create_client(service_type, name))
@@ -227,7 +228,7 @@ def stimulate(node: Any, case: Case, places: dict[str, str]) -> None:
                 publisher = made.get(name) or made.setdefault(name, other.create_publisher(one.msg_type, name, 10))
                 publisher.publish(one.msg_type())
         if node.life_cycle:
-            caught = {name for name, state in places.items() if state == "caught"}
+            caught = {name for name, state in places.copy().items() if state == "caught"}
             if left() <= {f"{LIFE_CYCLE}shutdown"}:
                 transition = 7 if node.active else 6 if node.configured else 5
             elif node.active:
@@ -260,7 +261,7 @@ def stimulate(node: Any, case: Case, places: dict[str, str]) -> None:
             executor.spin_once(timeout_sec=0.05)
     entities = [one for kind in KINDS for one in getattr(node, kind)]
     acts = [getattr(one, name) for one in entities for name in ("callback", "execute") if getattr(one, name, None)]
-    found = {"places": places, "not caught": [label(act) for act in acts if not hasattr(act, "catches")]}
+    found = {"places": places.copy(), "not caught": [label(act) for act in acts if not hasattr(act, "catches")]}
     Path(f"{case.name}.json").write_text(json.dumps(found))
     node.over = True
     node.fail(Planted("the last"))
