@@ -24,7 +24,7 @@ def ended(folder: Path, before: str, within: str) -> tuple[int, str]:
     (folder / "abrace/__init__.py").write_text("")
     shutil.copy(PROGRAM, folder / "abrace")
     (folder / "abrace/cli.py").write_text(INTERRUPTED.format(before=before, within=within))
-    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    environment = {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{os.environ['PYTHONPATH']}"}
     ran = subprocess.run([sys.executable, SCRIPT], capture_output=True, text=True, check=False, env=environment)
     return ran.returncode, ran.stderr
 

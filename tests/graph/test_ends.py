@@ -7,10 +7,13 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from forked import run_node
+from std_msgs.msg import Bool
 
+from abrace.processes.group import find_executable
 from abrace_bags import read_runs
 from abrace_interfaces.msg import Response
 
@@ -123,6 +126,28 @@ def test_a_node_ends_with_the_process_that_it_is_bound_to(graph, monkeypatch):
     expect_refusal(run_node("abrace_plant", "plant"), f"ABRACE_END_WITH={launch.pid}", "has ended")
     monkeypatch.setenv("ABRACE_END_WITH", "launch")
     expect_refusal(run_node("abrace_plant", "plant"), "ABRACE_END_WITH=launch", "expected the number of a process")
+
+
+@pytest.mark.parametrize("program", ["plant", "abrace status"])
+def test_a_program_ends_though_its_dds_participant_does_not(graph, tmp_path, monkeypatch, program):
+    """Where the listener of a participant is at work as it ends, the wheels' Fast DDS waits for ever, with a lock."""
+    source, library = Path(__file__).parents[1] / "support/discovery_at_the_end.c", tmp_path / "discovery.so"
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
+    monkeypatch.setenv("LD_PRELOAD", str(library))
+    words = ["--ros-args", "-r", f"__ns:={graph.namespace}", "-p", "autostart:=false"]
+    command = [find_executable("abrace_plant", "plant"), *words] if program == "plant" else program.split()
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as ending:
+        if program == "plant":
+            graph.until(lambda: "plant" in graph.statuses, "diagnostics")
+            ending.send_signal(signal.SIGINT)
+        latest = time.monotonic() + 60.0
+        while ending.poll() is None and time.monotonic() < latest:
+            come = graph.node.create_subscription(Bool, "comes_and_goes", print, 1)
+            time.sleep(0.2)
+            graph.node.destroy_subscription(come)
+        ending.kill()
+        assert ending.stderr is not None
+        assert ending.returncode == 0, ending.stderr.read()
 
 
 WORKER = """

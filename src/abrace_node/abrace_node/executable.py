@@ -14,7 +14,7 @@ import signal
 import sys
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from abrace_core import AbraceError
 from abrace_core.files.suggestion import did_you_mean
@@ -43,9 +43,7 @@ def main() -> int:
     module = importlib.import_module(f"{package}.nodes.{name}")
     gc.freeze()
     gc.enable()
-    exit_code = int(module.main())
-    _call_exit_handlers()
-    os._exit(exit_code)  # without freeing the interpreter's objects one by one, for a quarter of a second
+    leave(int(module.main()))
 
 
 def replace_unprintable() -> None:
@@ -54,12 +52,17 @@ def replace_unprintable() -> None:
         sys.stdout.reconfigure(errors="replace")
 
 
-def _call_exit_handlers() -> None:
-    """Call the functions registered with `atexit`, and flush the output."""
+def leave(exit_code: int) -> NoReturn:
+    """End the process: call the functions registered with `atexit`, flush the output, and no more.
+
+    The interpreter's objects are not freed one by one, for a quarter of a second, and libraries not ended: Fast DDS
+    would wait for a participant that does not end (`transport.LEAVE_TIMEOUT`).
+    """
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):  # the reader has left
             stream.flush()
+    os._exit(exit_code)
 
 
 def check_environment() -> None:

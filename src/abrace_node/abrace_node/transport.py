@@ -15,8 +15,11 @@ stop of a new sender would be that late, so the profiles set a shorter period.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
+import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -67,6 +70,15 @@ TRANSIENT_LOCAL_QOS = QoSProfile(
 
 PAUSE = 0.02
 """Seconds between the end of a node and that of its DDS participant: other processes handle the first meanwhile."""
+
+LEAVE_TIMEOUT = 5.0
+"""Seconds that a DDS participant has for its end.
+
+Where another node's endpoint comes or goes just then, Fast DDS 2.14 of the wheels never ends it:
+`DomainParticipantImpl::set_listener` waits for the listener that is at work, which waits for a lock of the first. It
+would be let go, but the wheels are built for a C library without `pthread_cond_clockwait`, and a wait without a limit
+returns at once there, with the lock. In some 600 ends of nodes that others left at the same time it was seen once.
+"""
 
 _PROFILES_FILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -142,12 +154,21 @@ def destroy(node: Node) -> None:
     Other processes receive the end of a node and that of its DDS participant in two threads. A busy process that is
     still handling the first when the second arrives lists the node for as long as it runs: 5 of 140 loggers that were
     ended by many signals. Therefore a second, hidden node keeps the participant a moment longer.
+
+    A participant that has not ended after LEAVE_TIMEOUT is left as it is: to others it is one that was killed.
     """
-    context = node.context.handle
+    context, name = node.context.handle, node.get_name()
     with context:
-        keeper = rclpy_implementation.Node(
-            f"_{node.get_name()}_leaves", node.get_namespace(), context, None, False, False
-        )
+        keeper = rclpy_implementation.Node(f"_{name}_leaves", node.get_namespace(), context, None, False, False)
     node.destroy_node()
     time.sleep(PAUSE)
-    keeper.destroy_when_not_in_use()
+    # in a thread, and by C: where Python calls it, no other thread has the interpreter meanwhile
+    finalize = ctypes.CDLL("librcl.so").rcl_node_fini
+    leaving = threading.Thread(target=finalize, args=(ctypes.c_void_p(keeper.pointer),), daemon=True)
+    leaving.start()
+    leaving.join(LEAVE_TIMEOUT)
+    if leaving.is_alive():
+        print(f"{name}: DDS does not end; others list this node for 20 s more", file=sys.stderr, flush=True)
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(keeper))  # its destructor would wait as well
+    else:
+        keeper.destroy_when_not_in_use()
