@@ -43,7 +43,7 @@ def main() -> int:
     module = importlib.import_module(f"{package}.nodes.{name}")
     gc.freeze()
     gc.enable()
-    leave(int(module.main()))
+    return leave(int(module.main()))
 
 
 def replace_unprintable() -> None:
