@@ -113,7 +113,7 @@ class Stops:
     def stopped(self, rig: LiveRig, count: int, stalls: tuple[str, ...]) -> bool | None:
         """Wait until the target has stopped, and all is at rest; whether the fault was latched in time.
 
-        None: the rig had stopped before, or at once for one of these `stalls`.
+        None: the rig had stopped at sample `count` already, the last before, or then for one of these `stalls`.
         """
         rig.until(lambda: not rig.seen[-1].target.armed, "the target to stop")
         rig.until(lambda: rig.state in (State.LATCHED, State.NOT_AT_REST), "all to be at rest")
@@ -122,7 +122,6 @@ class Stops:
         first = next(i for i, one in enumerate(seen) if not one.target.armed)
         self.followed_again += any(one.target.armed for one in seen[first:])
         latched = next(i for i, one in enumerate(seen) if State(one.sample.head.state) in STOPPED)
-        # at once: it had stopped before, for its own reasons
         if latched < max(first, 1) or any(stall in rig.safety.cause for stall in stalls):
             self.stalled += 1
             return None
@@ -157,13 +156,13 @@ class Stops:
         self.cable_passed += well and self._place_is_known(rig)
 
     def _driven(self, rig: LiveRig, chance: random.Random) -> int:
-        """Let the rig run and be driven until a random instant; the number of samples so far."""
+        """Let the rig run and be driven until a random instant; the number of samples before the last one so far."""
         place = rig.seen[-1].target.table if rig.seen else 0.0
         assert place is not None
         self.shake.begin(place)
         rig.start()
         time.sleep(chance.uniform(0.1, 0.8))
-        return len(rig.seen)
+        return len(rig.seen) - 1
 
     def _at_zero(self, rig: LiveRig) -> bool:
         """Whether no force is measured, and none is applied."""
