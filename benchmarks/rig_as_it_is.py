@@ -43,7 +43,7 @@ RIG = "ncree_as_a_rig"
 KEPT = Path("results") / RIG
 """Where the campaign's report and figures stay."""
 ACCEPTED = ("unstable_with_check_model", "small_gain_margin", "small_phase_margin", "small_disk_margin")
-"""With one of the 30 models drawn about the identified one the loop is not stable, or nearly not; it is so on the rig."""
+"""With one of the 30 models drawn about the identified one the loop is not stable, or nearly; it is so on the rig."""
 RESPONSES = ("x1", "x2", "x3", "a1", "a2", "a3")
 
 
