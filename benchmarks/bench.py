@@ -126,7 +126,7 @@ def lockstep_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
 
 
 def plant_step() -> float:
-    """Microseconds of a sample of a rig of 26 states, near its capacity and with sensor noise."""
+    """Microseconds of a sample of a rig of 26 states, with forces of a fifth of its capacity and with sensor noise."""
     rig = load_rig(find_file("ncree_three_storey", "abrace_plant", "config", ".yaml", "rig"))
     modes = tuple(replace(rig.local_modes[2], frequency=150.0 + 10 * number) for number in range(6))
     rig = replace(rig, local_modes=rig.local_modes + modes)
@@ -134,7 +134,7 @@ def plant_step() -> float:
     safety.configure(rig_outputs(rig), 1 / rig.sample_rate)
     safety.activate()
     loop = RigLoop(rig, SimulatedRig(rig, 1, by_the_clock=False), safety, 0.02, 10, 1, lockstep=True)
-    forces = 0.9 * rig.capacity[0] * np.sin(0.05 * np.arange(PLANT_STEPS))
+    forces = 0.2 * rig.capacity[0] * np.sin(0.05 * np.arange(PLANT_STEPS))
     loop.until_it_acts()
     begin = time.perf_counter()
     for force in forces.tolist():
